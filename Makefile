@@ -1,0 +1,28 @@
+# Everything runs in .venv, made here; nothing else on the machine is touched.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+
+.PHONY: demo test lint bench clean
+
+demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
+	$(BIN)/qube-ihc demo
+
+test: $(VENV)/installed lint   ## lint, type check and all tests
+	$(BIN)/pytest
+
+lint: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+bench: $(VENV)/installed   ## steps per second against FMPy's own simulate_ssp
+	$(BIN)/python benchmarks/python_pair.py
+
+$(VENV)/installed: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+clean:
+	rm -rf $(VENV) results fmus/*.fmu

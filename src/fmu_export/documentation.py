@@ -1,0 +1,46 @@
+"""The HTML that travels inside an FMU: what it is, its variables, and the notes of its unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+
+from .variables import Interface, Value, Variable
+
+_STYLE = (
+    "body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}"
+    "table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.2rem .6rem;border-bottom:1px solid #ccc}"
+    "pre{background:#f4f4f4;padding:1rem;overflow:auto}"
+)
+
+
+def documentation(interface: Interface, start: Mapping[str, Value], notes: str) -> str:
+    """Return the page; `notes` is HTML that goes between the description and the variables."""
+    sections = "".join(
+        f"<h2>{title}</h2>\n{_table(interface.of(causality), start)}\n"
+        for title, causality in (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter"))
+    )
+    return (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(interface.name)}</title>'
+        f"<style>{_STYLE}</style></head>\n<body><h1>{escape(interface.name)}</h1>\n"
+        f"<p>{escape(interface.description)}. FMI 2.0 for co-simulation, SI units; the default communication step is "
+        f"{interface.step_size:g} s.</p>\n{notes}\n{sections}</body></html>\n"
+    )
+
+
+def _table(variables: tuple[Variable, ...], start: Mapping[str, Value]) -> str:
+    rows = "\n".join(
+        f"<tr><td><code>{v.name}</code></td><td>{escape(v.unit)}</td><td>{_start(v, start)}</td>"
+        f"<td>{v.variability if v.causality == 'parameter' else ''}</td><td>{escape(v.description)}</td></tr>"
+        for v in variables
+    )
+    return f"<table><tr><th>name</th><th>unit</th><th>start</th><th></th><th>description</th></tr>\n{rows}</table>"
+
+
+def _start(variable: Variable, start: Mapping[str, Value]) -> str:
+    value = start.get(variable.name)
+    if value is None:
+        return ""
+    if variable.items:
+        return escape(variable.items[int(value) - 1])
+    return str(value).lower() if isinstance(value, bool) else f"{value:.10g}"

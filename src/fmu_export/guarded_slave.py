@@ -1,0 +1,323 @@
+"""The base class of both Python FMUs: what FMI 2.0 demands and PythonFMU's wrapper does not check.
+
+The wrapper accepts a step before initialization, steps of zero or negative length, jumps in time, fixed parameters set
+during a run and NaN, and turns an exception into a bare status. Here each of these is refused with its cause in the
+log. What cannot be checked from Python is the GUID that the host passes: the wrapper does not hand it on.
+
+Standard library only: this module travels inside the Python FMUs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
+
+from pythonfmu.enums import Fmi2Status
+from pythonfmu.fmi2slave import Fmi2Slave
+
+from .variables import Interface, Value, Variable
+
+STATE_FORMAT = 1
+MANIFEST = "manifest.json"
+
+_kept: list[object] = []
+"""After an exception the wrapper releases its objects, and again when the instance is freed. Keeping one more reference
+to each of them makes that harmless; a failed instance costs its memory until the process ends."""
+
+
+class Unit(Protocol):
+    """What is stepped: built from parameter values, then initialized, then stepped."""
+
+    def __init__(self, values: Mapping[str, Any]) -> None: ...
+
+    def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
+        """Take the start time [s] and the first inputs; return messages for the log."""
+        ...
+
+    def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
+        """Advance from `time` by `step` [s] with the inputs held; return messages for the log."""
+        ...
+
+    def outputs(self) -> tuple[Value, ...]:
+        """Return the outputs in the order of the interface."""
+        ...
+
+    def get_state(self) -> dict[str, Any]:
+        """Return everything that changes during a run, as JSON types."""
+        ...
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Restore what `get_state` returned."""
+        ...
+
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _guarded(method: F) -> F:
+    """Turn an exception into a log message with traceback, time and inputs, and a failure that names its cause."""
+
+    @wraps(method)
+    def call(self: GuardedSlave, *args: Any) -> Any:
+        try:
+            return method(self, *args)
+        except Exception as error:
+            self._record_failure(method.__name__, error)
+            raise RuntimeError(f"{self.instance_name}: {method.__name__}: {error}") from None
+
+    return call  # type: ignore[return-value]
+
+
+def code_digest(resources: Path, package: str) -> str:
+    """Return the SHA-256 of the bundled package's Python files, by name and content."""
+    digest = hashlib.sha256()
+    for file in sorted((resources / package).rglob("*.py")):
+        digest.update(file.relative_to(resources / package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    return digest.hexdigest()
+
+
+class GuardedSlave(Fmi2Slave):
+    """An FMI 2.0 co-simulation slave around a `Unit`, driven by its `Interface`."""
+
+    interface: ClassVar[Interface]
+    unit_class: ClassVar[type[Unit]]
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        resources = Path(self.resources)
+        manifest = json.loads((resources / MANIFEST).read_text(encoding="utf-8"))
+        self._check_bundle(resources, manifest)
+        self._variables = self.interface.variables
+        self._values: list[Value] = [0.0 if v.start is None else v.start for v in self._variables]
+        start = self.interface.start_values(manifest["start_values"])
+        self._vr = {v.name: vr for vr, v in enumerate(self._variables)}
+        for name, value in start.items():
+            self._values[self._vr[name]] = value
+        self._types = {
+            kind: frozenset(vr for vr, v in enumerate(self._variables) if v.type in kinds)
+            for kind, kinds in (("Real", {"Real"}), ("Integer", {"Integer", "Enumeration"}), ("Boolean", {"Boolean"}))
+        }
+        self._inputs = [self._vr[v.name] for v in self.interface.of("input")]
+        self._outputs = [self._vr[v.name] for v in self.interface.of("output")]
+        self._real_inputs = {vr: self._variables[vr] for vr in self._inputs if self._variables[vr].type == "Real"}
+        self._phase = "instantiated"
+        self._experiment_set = False
+        self._time = 0.0
+        self._unit: Unit | None = None
+
+    # The call order of FMI 2.0.2, section 4.2.4
+
+    @_guarded
+    def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
+        """Take the start time [s]; it must be finite."""
+        self._require("instantiated", doing="setupExperiment")
+        if not math.isfinite(start_time):
+            raise ValueError(f"the start time must be finite, found {start_time}")
+        self._experiment_set = True
+        self._time = start_time
+
+    @_guarded
+    def enter_initialization_mode(self) -> None:
+        """Leave the setting of start values."""
+        self._require("instantiated", doing="enterInitializationMode")
+        if not self._experiment_set:
+            raise ValueError("enterInitializationMode needs setupExperiment before it")
+        self._phase = "initialization"
+
+    @_guarded
+    def exit_initialization_mode(self) -> None:
+        """Build the unit from its start values and compute its outputs at the start time."""
+        self._require("initialization", doing="exitInitializationMode")
+        self._initialize_unit()
+        self._phase = "step"
+
+    @_guarded
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Advance from `current_time` by `step_size` [s]."""
+        if self._phase != "step" or self._unit is None:
+            self._require("step", doing="doStep")
+        if not (step_size > 0.0 and math.isfinite(step_size)):
+            raise ValueError(f"the communication step must be positive and finite, found {step_size} s")
+        if not abs(current_time - self._time) <= 1e-6 * step_size + 1e-12 * abs(self._time):
+            raise ValueError(
+                f"time must not jump: the last step ended at {self._time!r} s, this begins at {current_time!r} s"
+            )
+        values = self._values
+        messages = self._unit.step(current_time, step_size, tuple([values[vr] for vr in self._inputs]))  # type: ignore[union-attr]
+        self._time = current_time + step_size
+        self._read_outputs()
+        for message in messages:
+            self.log(f"t = {current_time:.9g} s: {message}", Fmi2Status.warning)
+        return True
+
+    @_guarded
+    def terminate(self) -> None:
+        """End the run."""
+        self._require("step", doing="terminate")
+        self._phase = "terminated"
+
+    # Variables
+
+    @_guarded
+    def get_real(self, vrs: list[int]) -> list[Any]:
+        """Return Real values."""
+        return self._get(vrs, "Real")
+
+    @_guarded
+    def get_integer(self, vrs: list[int]) -> list[Any]:
+        """Return Integer and Enumeration values."""
+        return self._get(vrs, "Integer")
+
+    @_guarded
+    def get_boolean(self, vrs: list[int]) -> list[Any]:
+        """Return Boolean values."""
+        return self._get(vrs, "Boolean")
+
+    @_guarded
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Refuse: no variable is a String."""
+        raise ValueError(f"{self.interface.name} has no String variables, asked for value references {vrs}")
+
+    @_guarded
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        """Set Real inputs, and parameters where the call order allows."""
+        if self._phase == "step":
+            inputs = self._real_inputs
+            for vr, value in zip(vrs, values, strict=True):
+                if vr in inputs and (math.isfinite(value) or inputs[vr].fault_on_non_finite):
+                    self._values[vr] = value
+                else:
+                    self._set([vr], [value], "Real")
+        else:
+            self._set(vrs, values, "Real")
+
+    @_guarded
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Set Integer and Enumeration variables."""
+        self._set(vrs, values, "Integer")
+
+    @_guarded
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        """Set Boolean variables."""
+        self._set(vrs, values, "Boolean")
+
+    @_guarded
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        """Refuse: no variable is a String."""
+        raise ValueError(f"{self.interface.name} has no String variables, asked to set value references {vrs}")
+
+    # State
+
+    @_guarded
+    def _get_fmu_state(self) -> dict[str, Any]:
+        return {
+            "format": STATE_FORMAT,
+            "unit_name": self.interface.name,
+            "phase": self._phase,
+            "experiment_set": self._experiment_set,
+            "time": self._time,
+            "values": list(self._values),
+            "unit": None if self._unit is None else self._unit.get_state(),
+        }
+
+    @_guarded
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        found = (state.get("format"), state.get("unit_name"), len(state.get("values", ())))
+        expected = (STATE_FORMAT, self.interface.name, len(self._values))
+        if found != expected:
+            raise ValueError(f"the state must be of (format, unit, number of variables) {expected}, found {found}")
+        self._phase = state["phase"]
+        self._experiment_set = state["experiment_set"]
+        self._time = state["time"]
+        self._values = list(state["values"])
+        self._unit = None
+        if state["unit"] is not None:
+            self._unit = self.unit_class(self._values_by_name())
+            self._unit.set_state(state["unit"])
+
+    # Inside
+
+    def _check_bundle(self, resources: Path, manifest: dict[str, Any]) -> None:
+        """Refuse to run code other than that bundled with this FMU."""
+        package = manifest["package"]
+        running = type(self).__module__.split(".")[0]
+        if running != package:
+            raise ImportError(f"{self.instance_name}: this FMU bundles {package}, but Python runs {running}")
+        digest = code_digest(resources, package)
+        if digest != manifest["code_digest"]:
+            raise ImportError(
+                f"{self.instance_name}: the code in {package} is not the code that was exported "
+                f"(SHA-256 {digest[:12]}, expected {manifest['code_digest'][:12]})"
+            )
+
+    def _require(self, phase: str, doing: str) -> None:
+        if self._phase != phase:
+            raise ValueError(f"{doing} is allowed in the state {phase!r}, found the state {self._phase!r}")
+
+    def _values_by_name(self) -> dict[str, Value]:
+        return {v.name: self._values[vr] for vr, v in enumerate(self._variables)}
+
+    def _initialize_unit(self) -> None:
+        self._unit = self.unit_class(self._values_by_name())
+        messages = self._unit.initialize(self._time, tuple([float(self._values[vr]) for vr in self._inputs]))
+        for message in messages:
+            self.log(f"t = {self._time:.9g} s: {message}", Fmi2Status.warning)
+        self._read_outputs()
+
+    def _read_outputs(self) -> None:
+        for vr, value in zip(self._outputs, self._unit.outputs(), strict=True):  # type: ignore[union-attr]
+            self._values[vr] = value
+
+    def _get(self, vrs: list[int], kind: str) -> list[Any]:
+        allowed = self._types[kind]
+        if self._phase in ("instantiated", "initialization"):
+            self._prepare_outputs(vrs)
+        values = self._values
+        for vr in vrs:
+            if vr not in allowed:
+                raise ValueError(f"no {kind} variable has the value reference {vr}")
+        return [values[vr] for vr in vrs]
+
+    def _prepare_outputs(self, vrs: Sequence[int]) -> None:
+        """In initialization, outputs follow from the start values and inputs set so far."""
+        asked = [self._variables[vr].name for vr in vrs if vr in self._outputs]
+        if asked and self._phase == "instantiated":
+            raise ValueError(f"outputs are defined from initialization on, asked for {', '.join(asked)} before it")
+        if asked:
+            self._initialize_unit()
+
+    def _set(self, vrs: Sequence[int], values: Sequence[Any], kind: str) -> None:
+        allowed = self._types[kind]
+        retune = False
+        for vr, value in zip(vrs, values, strict=True):
+            if vr not in allowed:
+                raise ValueError(f"no {kind} variable has the value reference {vr}")
+            variable = self._variables[vr]
+            self._check_settable(variable)
+            self._values[vr] = variable.check(value)
+            retune = retune or variable.variability == "tunable"
+        if retune and self._phase == "step" and self._unit is not None:
+            state = self._unit.get_state()
+            self._unit = self.unit_class(self._values_by_name())
+            self._unit.set_state(state)
+
+    def _check_settable(self, variable: Variable) -> None:
+        if variable.causality == "output":
+            raise ValueError(f"{variable.name} is an output and cannot be set")
+        if self._phase == "terminated" or (self._phase == "step" and variable.variability == "fixed"):
+            raise ValueError(
+                f"{variable.name} is a {variable.variability} {variable.causality}, which cannot be set in the state "
+                f"{self._phase!r}"
+            )
+
+    def _record_failure(self, call: str, error: Exception) -> None:
+        inputs = ", ".join(f"{self._variables[vr].name} = {self._values[vr]!r}" for vr in self._inputs)
+        text = "".join(traceback.format_exception(error))
+        self.log(f"{call} failed at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
+        _kept.append((self, type(self), self.log_queue, self.log_queue))

@@ -1,0 +1,179 @@
+"""modelDescription.xml of FMI 2.0 (version 2.0.2 of the standard) from an interface table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+from .variables import Interface, Value, Variable
+
+UNITS: dict[str, dict[str, int]] = {
+    "1": {},
+    "s": {"s": 1},
+    "1/s": {"s": -1},
+    "m": {"m": 1},
+    "kg": {"kg": 1},
+    "rad": {"rad": 1},
+    "rad/s": {"rad": 1, "s": -1},
+    "rad/s2": {"rad": 1, "s": -2},
+    "rad2/s3": {"rad": 2, "s": -3},
+    "m/s2": {"m": 1, "s": -2},
+    "kg.m2": {"kg": 1, "m": 2},
+    "N.m": {"kg": 1, "m": 2, "s": -2},
+    "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
+    "N.m/V": {"s": 1, "A": 1},
+    "J": {"kg": 1, "m": 2, "s": -2},
+    "A": {"A": 1},
+    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
+    "V/rad": {"kg": 1, "m": 2, "s": -3, "A": -1, "rad": -1},
+    "V.s/rad": {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1},
+    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
+    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
+}
+"""Every unit of the project as exponents of the SI base units and the radian."""
+
+DEGREES = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 / 3.141592653589793)}
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What of an FMU depends on how it is made."""
+
+    needs_execution_tool: bool
+    generation_tool: str
+    version: str
+
+
+def model_description(interface: Interface, start: Mapping[str, Value], guid: str, capabilities: Capabilities) -> bytes:
+    """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
+
+    `start` maps parameters and inputs to their start values.
+    """
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=interface.name,
+        guid=guid,
+        description=interface.description,
+        author="The qube-ihc developers",
+        version=capabilities.version,
+        license="MIT",
+        generationTool=capabilities.generation_tool,
+        variableNamingConvention="flat",
+        numberOfEventIndicators="0",
+    )
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=interface.name,
+        needsExecutionTool=_boolean(capabilities.needs_execution_tool),
+        canHandleVariableCommunicationStepSize=_boolean(interface.variable_step),
+        canInterpolateInputs="false",
+        canBeInstantiatedOnlyOncePerProcess="false",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+    )
+    _add_units(root, interface)
+    _add_types(root, interface)
+    _add_log_categories(root)
+    ET.SubElement(
+        root,
+        "DefaultExperiment",
+        startTime="0",
+        stopTime=repr(interface.stop_time),
+        stepSize=repr(interface.step_size),
+    )
+    variables = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(interface.variables):
+        _add_variable(variables, variable, reference, start.get(variable.name))
+    _add_structure(root, interface)
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _boolean(value: bool) -> str:
+    return "true" if value else "false"
+
+
+def _literal(value: Value) -> str:
+    return _boolean(value) if isinstance(value, bool) else repr(value)
+
+
+def _add_units(root: ET.Element, interface: Interface) -> None:
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for name in sorted({v.unit for v in interface.variables if v.type == "Real"}):
+        unit = ET.SubElement(definitions, "Unit", name=name)
+        ET.SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in UNITS[name].items()})
+        if name in DEGREES:
+            display, factor = DEGREES[name]
+            ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(factor))
+
+
+def _type_name(variable: Variable) -> str:
+    return f"{variable.name}_type"
+
+
+def _add_types(root: ET.Element, interface: Interface) -> None:
+    enumerations = [v for v in interface.variables if v.type == "Enumeration"]
+    if not enumerations:
+        return
+    definitions = ET.SubElement(root, "TypeDefinitions")
+    for variable in enumerations:
+        simple = ET.SubElement(definitions, "SimpleType", name=_type_name(variable))
+        enumeration = ET.SubElement(simple, "Enumeration")
+        for value, item in enumerate(variable.items, start=1):
+            ET.SubElement(enumeration, "Item", name=item, value=str(value))
+
+
+def _add_log_categories(root: ET.Element) -> None:
+    categories = ET.SubElement(root, "LogCategories")
+    for name, description in (
+        ("logStatusWarning", "what the unit wants known: faults, changes of mode under a fault"),
+        ("logStatusError", "why a call failed, with time and inputs"),
+        ("logAll", "everything else"),
+    ):
+        ET.SubElement(categories, "Category", name=name, description=description)
+
+
+def _add_variable(parent: ET.Element, variable: Variable, reference: int, start: Value | None) -> None:
+    variability = variable.variability
+    if variability == "continuous" and variable.type != "Real":
+        variability = "discrete"
+    scalar = ET.SubElement(
+        parent,
+        "ScalarVariable",
+        name=variable.name,
+        valueReference=str(reference),
+        description=variable.description,
+        causality=variable.causality,
+        variability=variability,
+    )
+    if variable.causality == "output":
+        scalar.set("initial", "calculated")
+    elif variable.causality == "parameter":
+        scalar.set("initial", "exact")
+    kind = ET.SubElement(scalar, variable.type)
+    if variable.type == "Enumeration":
+        kind.set("declaredType", _type_name(variable))
+    if variable.type == "Real":
+        kind.set("unit", variable.unit)
+    for bound in ("min", "max"):
+        limit = getattr(variable, bound)
+        if limit is not None:
+            kind.set(bound, repr(int(limit)) if variable.type == "Integer" else repr(limit))
+    if start is not None:
+        kind.set("start", _literal(start))
+
+
+def _add_structure(root: ET.Element, interface: Interface) -> None:
+    index = {v.name: str(i) for i, v in enumerate(interface.variables, start=1)}
+    structure = ET.SubElement(root, "ModelStructure")
+    for section in ("Outputs", "InitialUnknowns"):
+        parent = ET.SubElement(structure, section)
+        for variable in interface.of("output"):
+            unknown = ET.SubElement(parent, "Unknown", index=index[variable.name])
+            if section == "Outputs":  # what outputs depend on initially is left open: on every start value
+                unknown.set("dependencies", " ".join(index[name] for name in variable.dependencies))
+                unknown.set("dependenciesKind", " ".join("dependent" for _ in variable.dependencies))

@@ -1,0 +1,172 @@
+"""Python FMUs: a unit's step code, PythonFMU's slave class and its compiled wrapper, in one reproducible file.
+
+PythonFMU's own builder bundles modules under their plain names, so that two FMUs, or an FMU and its host, that have a
+module of the same name silently run one another's code; it also writes a new GUID and new time stamps in each build.
+Here the code, PythonFMU's slave class included, becomes one package whose name carries a hash of its content.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+
+from .documentation import documentation
+from .guarded_slave import MANIFEST, GuardedSlave, code_digest
+from .model_description import Capabilities, model_description
+from .variables import Value
+
+SHARED = ("fmu_export", "pythonfmu")
+"""Packages that a unit's code may import besides its own."""
+
+ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+
+
+def export_python_fmu(
+    slave: type[GuardedSlave], path: Path, changes: Mapping[str, Value | str] | None = None, notes: str = ""
+) -> Path:
+    """Write the FMU of `slave` to `path`, with the start values of its interface and `changes` to them; return `path`.
+
+    `notes` is HTML for the FMU's documentation. The same arguments give the same bytes. The file is written beside and
+    renamed, so an interrupted export leaves an earlier file as it was. Raises ValueError for start values that the
+    interface does not admit or that contradict each other.
+    """
+    interface = slave.interface
+    start = interface.start_values(changes)
+    slave.unit_class(start)  # refuses start values that contradict each other
+    files = _resources(slave, start)
+    version = importlib.metadata.version("pythonfmu")
+    capabilities = Capabilities(
+        needs_execution_tool=True,
+        generation_tool=f"qube-ihc {importlib.metadata.version('qube-ihc')} with PythonFMU {version}",
+        version=importlib.metadata.version("qube-ihc"),
+    )
+    files |= _binaries(interface.name)
+    files["documentation/index.html"] = documentation(interface, start, notes).encode()
+    files["documentation/licenses/PythonFMU.txt"] = _license("pythonfmu")
+    guid = _guid(files, model_description(interface, start, "", capabilities))
+    files["modelDescription.xml"] = model_description(interface, start, guid, capabilities)
+    _write_zip(path, files)
+    return path
+
+
+def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[str, bytes]:
+    """Return the bundled package, the script that the wrapper loads, and the manifest."""
+    unit_package = slave.__module__.split(".")[0]
+    code = {name.replace(".", "/") + ".py": text for name, text in _modules(slave.__module__).items()}
+    code |= {f"{package}/__init__.py": b"" for package in (unit_package, *SHARED)} | {"__init__.py": b""}
+    digest = hashlib.sha256(repr(sorted(code.items())).encode()).hexdigest()
+    script = f"{slave.interface.name}_{digest[:12]}"
+    package = f"{script}_code"
+    files = {f"resources/{package}/{name}": text for name, text in code.items()}
+    files[f"resources/{script}.py"] = f"from {package}.{slave.__module__} import {slave.__name__}  # noqa\n".encode()
+    files["resources/slavemodule.txt"] = script.encode()
+    manifest = {"package": package, "code_digest": _digest_of(code, package), "start_values": dict(start)}
+    # The wrapper runs the script as a module of its own, and the class in the package.
+    files[f"resources/{MANIFEST}"] = json.dumps(manifest, indent=1).encode()
+    return files
+
+
+def _digest_of(code: Mapping[str, bytes], package: str) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in code.items():
+            file = Path(folder) / package / name
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_bytes(text)
+        return code_digest(Path(folder), package)
+
+
+def _modules(root: str) -> dict[str, bytes]:
+    """Return the module `root` and all it imports, by name, with imports made relative to the bundling package.
+
+    Raises ImportError where a module imports anything but its own package, the shared ones and the standard library.
+    """
+    unit_package = root.split(".", maxsplit=1)[0]
+    own = {unit_package, *SHARED}
+    found: dict[str, bytes] = {}
+    queue = [root]
+    while queue:
+        name = queue.pop()
+        if name in found:
+            continue
+        spec = find_spec(name)
+        if spec is None or spec.origin is None:
+            raise ImportError(f"module {name} cannot be found, so it cannot be bundled")
+        source = Path(spec.origin).read_text(encoding="utf-8")
+        for imported in _imports(source, name):
+            top = imported.split(".")[0]
+            if top in own:
+                queue.append(imported)
+            elif top not in sys.stdlib_module_names:
+                raise ImportError(
+                    f"{name} imports {imported}: code that runs in an FMU imports the standard library only"
+                )
+        pattern = rf"^(\s*)from ({'|'.join(sorted(own))})\."
+        found[name] = re.sub(pattern, r"\1from ..\2.", source, flags=re.MULTILINE).encode()
+    return found
+
+
+def _imports(source: str, module: str) -> set[str]:
+    """Return the absolute names of the modules that `source` imports."""
+    package = module.rsplit(".", 1)[0]
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add(node.module or "")
+        elif isinstance(node, ast.ImportFrom):
+            members = [node.module] if node.module else [alias.name for alias in node.names]
+            names |= {f"{package}.{member}" for member in members}
+    return names
+
+
+def _binaries(model_identifier: str) -> dict[str, bytes]:
+    """Return PythonFMU's compiled wrapper for every platform that it has, under the FMU's name."""
+    spec = find_spec("pythonfmu")
+    assert spec is not None and spec.origin is not None  # noqa: PT018
+    folder = Path(spec.origin).parent / "resources" / "binaries"
+    return {
+        f"binaries/{file.parent.name}/{model_identifier}{file.suffix}": file.read_bytes()
+        for file in sorted(folder.rglob("*"))
+        if file.suffix in {".so", ".dll", ".dylib"}
+    }
+
+
+def _license(distribution: str) -> bytes:
+    for file in importlib.metadata.files(distribution) or []:
+        if file.name == "LICENSE":
+            return file.read_binary()
+    raise FileNotFoundError(f"the licence of {distribution} is not installed")
+
+
+def _guid(files: Mapping[str, bytes], description: bytes) -> str:
+    digest = hashlib.sha256(description)
+    for name in sorted(files):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
+    h = digest.hexdigest()
+    return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
+
+
+def _write_zip(path: Path, files: Mapping[str, bytes]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in sorted(files, key=lambda n: (n != "modelDescription.xml", n)):
+                entry = zipfile.ZipInfo(name, ZIP_TIME)
+                entry.external_attr = 0o644 << 16
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, files[name])
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

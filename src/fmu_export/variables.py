@@ -1,0 +1,130 @@
+"""The type of one FMU variable: the single declaration from which XML, code and documentation are derived.
+
+Standard library only: this module travels inside the Python FMUs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+Value = float | int | bool
+Type = Literal["Real", "Integer", "Boolean", "Enumeration"]
+Causality = Literal["parameter", "input", "output"]
+Variability = Literal["fixed", "tunable", "discrete", "continuous"]
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """One scalar variable of a unit's FMI 2.0 interface.
+
+    `start` is None for outputs: they are calculated in initialization. `items` names the values 1, 2, ... of an
+    enumeration. `dependencies` lists the inputs that an output depends on directly at a communication point.
+    `fault_on_non_finite` marks an input whose NaN or infinity the unit itself turns into a fault; every other
+    non-finite value is refused.
+    """
+
+    name: str
+    causality: Causality
+    description: str
+    unit: str = "1"
+    type: Type = "Real"
+    variability: Variability = "continuous"
+    start: Value | None = None
+    min: float | None = None
+    max: float | None = None
+    items: tuple[str, ...] = ()
+    dependencies: tuple[str, ...] = ()
+    fault_on_non_finite: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier():
+            raise ValueError(f"variable name {self.name!r} is not a C identifier")
+        if (self.start is None) != (self.causality == "output"):
+            raise ValueError(f"variable {self.name}: outputs have no start value, all others have one")
+        if (self.type == "Enumeration") != bool(self.items):
+            raise ValueError(f"variable {self.name}: items belong to an Enumeration, and it needs them")
+
+    def check(self, value: Value | str) -> Value:
+        """Return `value` as this variable's type, or raise ValueError that names variable, rule and value."""
+        number = self._as_number(value)
+        if not math.isfinite(number):
+            if self.fault_on_non_finite:
+                return number
+            raise ValueError(f"{self.name} must be finite, found {value}")
+        low, high = self.limits()
+        if number < low or number > high:
+            raise ValueError(f"{self.name} must lie in [{low:g}, {high:g}]{self._unit_text()}, found {value}")
+        return number
+
+    def limits(self) -> tuple[float, float]:
+        """Return the smallest and largest admissible value."""
+        if self.type == "Enumeration":
+            return 1, len(self.items)
+        return (-math.inf if self.min is None else self.min), (math.inf if self.max is None else self.max)
+
+    def _unit_text(self) -> str:
+        return "" if self.unit == "1" or self.type != "Real" else f" {self.unit}"
+
+    def _as_number(self, value: Value | str) -> Value:
+        if isinstance(value, str):
+            if value not in self.items:
+                expected = f"one of {', '.join(self.items)}" if self.items else f"a {self.type}"
+                raise ValueError(f"{self.name} must be {expected}, found {value!r}")
+            return self.items.index(value) + 1
+        if self.type == "Boolean":
+            if value not in (0, 1):
+                raise ValueError(f"{self.name} must be true or false, found {value}")
+            return bool(value)
+        if isinstance(value, bool):
+            raise ValueError(f"{self.name} must be a {self.type}, found {str(value).lower()}")
+        if self.type == "Real":
+            return float(value)
+        if value != int(value) if math.isfinite(value) else True:
+            raise ValueError(f"{self.name} must be an integer, found {value}")
+        return int(value)
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """The whole interface of a unit: its name, its text, its variables in the order of their value references."""
+
+    name: str
+    description: str
+    variables: tuple[Variable, ...]
+    step_size: float
+    stop_time: float
+    variable_step: bool
+    by_name: dict[str, Variable] = field(init=False, compare=False)
+
+    def __post_init__(self) -> None:
+        by_name = {v.name: v for v in self.variables}
+        if len(by_name) != len(self.variables):
+            raise ValueError(f"{self.name}: variable names must be unique")
+        object.__setattr__(self, "by_name", by_name)
+
+    def of(self, causality: Causality) -> tuple[Variable, ...]:
+        """Return the variables of one causality, in interface order."""
+        return tuple(v for v in self.variables if v.causality == causality)
+
+    def start_values(self, changes: Mapping[str, Value | str] | None = None) -> dict[str, Value]:
+        """Return every parameter's and input's start value with `changes` applied and checked.
+
+        Raises ValueError for an unknown name, an output, or a value outside its rule.
+        """
+        values = {v.name: v.start for v in self.variables if v.start is not None}
+        for name, value in (changes or {}).items():
+            if name not in values:
+                raise ValueError(f"{self.name} has no parameter or input named {name!r}{did_you_mean(name, values)}")
+            values[name] = self.by_name[name].check(value)
+        return values
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return '; did you mean ...?' for the nearest known names, or nothing."""
+    from difflib import get_close_matches  # noqa: PLC0415 - only on the way to an error
+
+    close = get_close_matches(name, list(known), n=3)
+    return f"; did you mean {' or '.join(close)}?" if close else ""

@@ -1,0 +1,432 @@
+"""From a linear model and a linear controller to an implicit homogeneous controller, by matrix inequalities (CVXPY).
+
+All semidefinite programs are posed in chain coordinates with time scaled by omega and the control by its bound, where
+every number is of order one, and the result is brought back to x = (theta, delta, theta', delta') or whatever the
+coordinates of (A, b) are. The solver's word is not taken: `certify` recomputes the inequalities by eigenvalues.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .certificate import Certificate, CertificateError, certify
+from .companion import chain_form, checked_system, weights
+
+Array = np.ndarray
+
+FORMAT = "qube-ihc design 1"
+SLACK = 1e-6
+"""Strictness demanded of the solver, relative: its result must satisfy the inequalities after rounding."""
+
+PAPER_A = ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 149.2751, -0.0104, 0.0), (0.0, 261.6091, -0.0103, 0.0))
+PAPER_B = (0.0, 0.0, 49.7275, 49.1493)
+PAPER_K_LIN = (2.0, -30.0, 2.0, -2.5)
+"""A [1/s, 1/s^2], b [rad/(s^2 V)] and the manufacturer's k_lin [V/rad, V s/rad] of the paper's section V."""
+
+
+class InfeasibleError(ValueError):
+    """The matrix inequalities have no solution for the given numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A certified implicit homogeneous controller for x' = A x + b u; it cannot be made without its certificate.
+
+    A (n, n), b (n,), k_lin (n,): model and linear controller u = k_lin x, which the IHC equals on ||x||_d = 1.
+    P (n, n): its ellipsoid x' P x <= 1 is the unit ball of ||x||_d. mu in (0, 1]: minus the degree of homogeneity.
+    alpha [1/s]: proven decrease d||x||_d/dt <= -alpha ||x||_d^(1-mu). u_max [V]: the largest |k x| on the unit ball.
+    psi, d_max [V], tau: the terms of Remark 3 that the proof includes (0: none). method: how it was designed.
+    """
+
+    A: Array
+    b: Array
+    k_lin: Array
+    P: Array
+    mu: float
+    alpha: float
+    psi: float = 0.0
+    d_max: float = 0.0
+    tau: float = 1.0
+    method: str = "given"
+    Phi: Array = field(init=False)
+    row: Array = field(init=False)
+    certificate: Certificate = field(init=False)
+
+    def __post_init__(self) -> None:
+        A, b = checked_system(self.A, self.b)
+        n = len(b)
+        for name, shape in (("k_lin", (n,)), ("P", (n, n))):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise ValueError(f"{name} must be finite and of shape {shape}, found shape {value.shape}")
+            object.__setattr__(self, name, value)
+        _check_scalars(self.mu, self.alpha, self.psi, self.d_max)
+        form = chain_form(A, b)
+        for name, value in (("A", A), ("b", b), ("Phi", form.Phi), ("row", form.row)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "certificate", certify(self))
+
+    @property
+    def n(self) -> int:
+        """The order of the system."""
+        return len(self.b)
+
+    @property
+    def k(self) -> Array:
+        """The homogeneous gain k = k_lin + row, eq. (10), shape (n,)."""
+        return self.k_lin + self.row
+
+    @cached_property
+    def kz(self) -> Array:
+        """The homogeneous gain in chain coordinates, k Phi^-1, shape (n,)."""
+        return np.linalg.solve(self.Phi.T, self.k)
+
+    @property
+    def u_max(self) -> float:
+        """The largest |k x| on the unit ball, sqrt(k P^-1 k') [V]."""
+        return float(np.sqrt(self.k @ np.linalg.solve(self.P, self.k)))
+
+    @property
+    def extent(self) -> Array:
+        """The largest |x_i| on the unit ball, sqrt((P^-1)_ii), shape (n,)."""
+        return np.sqrt(np.diag(np.linalg.inv(self.P)))
+
+    def scaled_to(self, *, u_max: float | None = None, index: int | None = None, bound: float | None = None) -> Design:
+        """Return the design with P scaled by an explicit rule, which leaves (11) untouched.
+
+        Either the largest |k x| on the unit ball becomes `u_max` [V], or the largest |x_index| there becomes `bound`
+        (index 1 is the pendulum angle delta). Raises ValueError where not exactly one rule is given.
+        """
+        if (u_max is None) == (bound is None or index is None):
+            raise ValueError("the scale of P needs one rule: u_max, or index and bound")
+        factor = self.u_max / u_max if u_max is not None else self.extent[index] / bound
+        if not (np.isfinite(factor) and factor > 0.0):
+            raise ValueError(f"the bound on the unit ball must be positive and finite, found {u_max or bound}")
+        if self.psi or self.d_max:
+            raise ValueError("a design with the terms of Remark 3 cannot be rescaled: psi and d_max fix the scale of P")
+        return replace(self, P=self.P * float(factor) ** 2)
+
+    def to_json(self) -> str:
+        """Return the design with its derived numbers and certificate as JSON; floats are exact."""
+        given = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.init}
+        derived = {
+            "k": _plain(self.k),
+            "row": _plain(self.row),
+            "Phi": _plain(self.Phi),
+            "u_max": self.u_max,
+            "certificate": self.certificate.as_dict(),
+        }
+        return json.dumps({"format": FORMAT, **given, "derived": derived}, indent=1) + "\n"
+
+    def save(self, path: Path) -> None:
+        """Write the JSON to `path`, beside it first, then renamed."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside = path.with_name(f".{path.name}.{os.getpid()}")
+        beside.write_text(self.to_json(), encoding="utf-8")
+        beside.replace(path)
+
+    @classmethod
+    def from_json(cls, text: str) -> Design:
+        """Return the design of `to_json`; the derived numbers are computed anew and the certificate is checked.
+
+        Raises ValueError for text that is not a design, and CertificateError for one that proves nothing.
+        """
+        try:
+            data = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"not JSON: {error}") from None
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            found = data.get("format") if isinstance(data, dict) else type(data).__name__
+            raise ValueError(f"the format must be {FORMAT!r}, found {found!r}")
+        names = {f.name for f in fields(cls) if f.init}
+        given = {name: value for name, value in data.items() if name in names}
+        missing = {"A", "b", "k_lin", "P", "mu", "alpha"} - given.keys()
+        unknown = data.keys() - names - {"format", "derived"}
+        if missing or unknown:
+            raise ValueError(f"a design has missing {sorted(missing)} and unknown {sorted(unknown)} entries")
+        try:
+            return cls(
+                **{name: np.array(value, float) if isinstance(value, list) else value for name, value in given.items()}
+            )
+        except TypeError as error:
+            raise ValueError(f"an entry of the design is of the wrong type: {error}") from None
+
+    @classmethod
+    def load(cls, path: Path) -> Design:
+        """Read a design file; errors name the file."""
+        try:
+            return cls.from_json(path.read_text(encoding="utf-8"))
+        except CertificateError as error:
+            raise CertificateError(f"{path}: {error}") from None
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _check_scalars(mu: float, alpha: float, psi: float, d_max: float) -> None:
+    if not 0.0 < mu <= 1.0:
+        raise ValueError(f"mu must lie in (0, 1], found {mu}")
+    if not 0.0 < alpha < np.inf:
+        raise ValueError(f"alpha must be positive and finite [1/s], found {alpha}")
+    for name, value in (("psi", psi), ("d_max", d_max)):
+        if not 0.0 <= value < np.inf:
+            raise ValueError(f"{name} must be non-negative and finite, found {value}")
+    if d_max > 0.0 and mu < 1.0:
+        raise ValueError(f"a matched disturbance d_max > 0 can be rejected only at mu = 1, found mu = {mu}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Scaled:
+    """The problem with time in 1/omega and the control in u_max: z' = N z + e_n v, x = T z.
+
+    z = D Phi x with D = diag(omega^(n-1), ..., 1) omega / u_max.
+    """
+
+    N: Array
+    W: Array  # diag(w), the generator
+    T: Array  # x = T z
+    k: Array  # the homogeneous gain, |k z| <= 1 on the unit ball
+    omega: float
+    u_max: float
+
+    @property
+    def e(self) -> Array:
+        return np.eye(len(self.N))[-1]
+
+
+def _scale(A: Array, b: Array, k_lin: Array | None, mu: float, u_max: float) -> _Scaled:
+    form = chain_form(A, b)
+    n = len(b)
+    kz = np.zeros(n) if k_lin is None else np.linalg.solve(form.Phi.T, k_lin + form.row)
+    omega = abs(kz[0]) ** (1.0 / n) if k_lin is not None else 10.0  # |kz_1| is the product of the poles
+    omega = omega if omega > 0.0 else 1.0
+    D = omega ** np.arange(n, 0, -1) / u_max
+    return _Scaled(
+        N=np.eye(n, k=1),
+        W=np.diag(weights(n, mu)),
+        T=np.linalg.inv(D[:, None] * form.Phi),
+        k=kz / D / u_max,
+        omega=omega,
+        u_max=u_max,
+    )
+
+
+def _solve(problem: Any, what: str) -> None:
+    """Solve with Clarabel, an interior-point method; raise InfeasibleError that says what has no solution."""
+    import warnings  # noqa: PLC0415
+
+    import cvxpy as cp  # noqa: PLC0415 - slow to import, needed only here
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate
+        try:
+            problem.solve(solver=cp.CLARABEL)
+        except cp.error.SolverError:
+            raise InfeasibleError(f"{what}: the solver failed on the matrix inequalities") from None
+    if problem.status not in {cp.OPTIMAL, cp.OPTIMAL_INACCURATE}:
+        raise InfeasibleError(f"{what}: the matrix inequalities have no solution (solver: {problem.status})")
+
+
+def _sym(M: Any) -> Any:
+    return (M + M.T) / 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What both designs take besides the model.
+
+    mu: homogeneity, (0, 1]. alpha [1/s]: decrease to be proven. u_max [V]: bound on |k x| on the unit ball, the scale of
+    P. delta_max: instead or as well, a bound on |x_index| on it. beta: G_d X + X G_d' >= 2 beta X, which keeps the
+    dilation monotone with a margin. psi, d_max: the terms of Remark 3.
+    """
+
+    mu: float = 1.0
+    alpha: float = 0.2
+    u_max: float | None = 1.5
+    delta_max: float | None = None
+    index: int = 1
+    beta: float = 0.1
+    psi: float = 0.0
+    d_max: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check_scalars(self.mu, self.alpha, self.psi, self.d_max)
+        if self.u_max is None and self.delta_max is None:
+            raise ValueError("the scale of P needs a rule: u_max, delta_max or both")
+        for name in ("u_max", "delta_max"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < np.inf:
+                raise ValueError(f"{name} must be positive and finite, found {value}")
+        if not 0.0 < self.beta < 1.0:
+            raise ValueError(f"beta must lie in (0, 1), found {self.beta}")
+
+
+def inverse_design(A: Array, b: Array, k_lin: Array, options: Options | None = None) -> Design:
+    """Return the IHC that equals the stabilizing LC u = k_lin x on its unit sphere, eqs. (10) and (11).
+
+    With X = P^-1 and A_cl = A + b k_lin = A_0 + b k: maximize log det X, the largest unit ball, subject to
+
+        A_cl X + X A_cl' + alpha (G_d X + X G_d') + disturbance terms <= 0,   G_d X + X G_d' >= 2 beta X,
+        k X k' <= u_max^2   and/or   X_ii <= delta_max^2.
+
+    Raises ValueError for a pair that is not controllable or a k_lin that does not stabilize it, InfeasibleError where
+    alpha is beyond the largest feasible one, CertificateError where the result fails its proof.
+    """
+    options = options or Options()
+    A, b = checked_system(A, b)
+    k_lin = _checked_gain(k_lin, A, b)
+    return _optimize(A, b, k_lin, options)
+
+
+def direct_design(A: Array, b: Array, options: Options | None = None) -> Design:
+    """Return the IHC designed without a linear controller, eq. (9): k = y X^-1 with X and y free.
+
+    The objective and the bounds are those of `inverse_design`; |k x| <= u_max on the unit ball is the inequality
+    [[u_max^2, y], [y', X]] >= 0. The result's k_lin = k - row is the linear controller that it equals on the unit sphere.
+    Raises as `inverse_design`.
+    """
+    options = options or Options()
+    A, b = checked_system(A, b)
+    if options.u_max is None:
+        raise ValueError("a direct design needs u_max: without it k would grow beyond bounds")
+    return _optimize(A, b, None, options)
+
+
+def _checked_gain(k_lin: Array, A: Array, b: Array) -> Array:
+    k_lin = np.asarray(k_lin, dtype=float)
+    if k_lin.shape != b.shape or not np.isfinite(k_lin).all():
+        raise ValueError(f"k_lin must have {len(b)} finite entries, found shape {k_lin.shape}")
+    slowest = np.linalg.eigvals(A + np.outer(b, k_lin)).real.max()
+    if slowest >= 0.0:
+        raise ValueError(f"k_lin must stabilize (A, b): the largest real part of the poles is {slowest:.4g} 1/s")
+    return k_lin
+
+
+def _optimize(A: Array, b: Array, k_lin: Array | None, options: Options) -> Design:
+    """Solve for X, and y where k_lin is None; for a matched disturbance also over a grid of its multiplier tau."""
+    what = f"alpha = {options.alpha:g} 1/s, mu = {options.mu:g}"
+    if not options.d_max:
+        return _optimize_for(A, b, k_lin, options, 1.0, what)
+    best: Design | None = None
+    for tau in _multipliers(options):
+        try:
+            found = _optimize_for(A, b, k_lin, options, tau, what)
+        except (InfeasibleError, CertificateError):
+            continue
+        if best is None or np.linalg.slogdet(found.P)[1] < np.linalg.slogdet(best.P)[1]:
+            best = found
+    if best is None:
+        raise InfeasibleError(f"{what}: no P proves the rejection of |d| <= {options.d_max:g} V")
+    return best
+
+
+def _multipliers(options: Options) -> Array:
+    """Return candidates for tau: the term tau d_max^2 P costs the decay rate tau d_max^2, so it is below some 1/s."""
+    return np.geomspace(1e-2, 1e2, 25) / options.d_max**2
+
+
+def _optimize_for(A: Array, b: Array, k_lin: Array | None, options: Options, tau: float, what: str) -> Design:
+    import cvxpy as cp  # noqa: PLC0415
+
+    p = _scale(A, b, k_lin, options.mu, options.u_max or 1.0)
+    n = len(b)
+    X = cp.Variable((n, n), symmetric=True)
+    y = cp.Variable((1, n)) if k_lin is None else None
+    drift = p.N @ X + (p.e[:, None] @ y if y is not None else np.outer(p.e, p.k) @ X)
+    monotone = _sym(p.W @ X) * 2
+    decrease = _sym(drift) * 2 + (options.alpha / p.omega) * monotone + SLACK * X
+    if options.d_max:  # in scaled time and control: b b'/tau -> e e'/(tau u_max^2 / omega)...
+        decrease = (
+            decrease + np.outer(p.e, p.e) * (p.omega / (tau * p.u_max**2)) + (tau * options.d_max**2 / p.omega) * X
+        )
+    constraints = [monotone >> 2 * options.beta * (1 + SLACK) * X, *_size_constraints(p, X, y, options)]
+    if options.psi:  # psi I in the coordinates of x, by a Schur complement
+        TX = p.T @ X
+        corner = -(p.omega / options.psi) * np.eye(n)
+        constraints.append(cp.bmat([[decrease, TX.T], [TX, corner]]) << 0)
+    else:
+        constraints.append(decrease << 0)
+    problem = cp.Problem(cp.Maximize(cp.log_det(X)), constraints)
+    _solve(problem, what)
+    X_value = np.asarray(X.value)
+    P = _to_x(p, np.linalg.inv(X_value))
+    gain = k_lin
+    if y is not None:
+        kz = np.linalg.solve(X_value, np.asarray(y.value)[0]) * p.u_max
+        gain = kz @ np.linalg.inv(p.T) - chain_form(A, b).row
+    assert gain is not None
+    method = "direct (9)" if k_lin is None else "inverse (10)-(11)"
+    return Design(A, b, gain, P, options.mu, options.alpha, options.psi, options.d_max, tau, method)
+
+
+def _size_constraints(p: _Scaled, X: Any, y: Any, options: Options) -> list[Any]:
+    import cvxpy as cp  # noqa: PLC0415
+
+    constraints: list[Any] = []
+    if y is not None:
+        constraints.append(cp.bmat([[np.eye(1), y], [y.T, X]]) >> 0)
+    elif options.u_max is not None:
+        constraints.append(p.k @ X @ p.k <= 1.0)
+    if options.delta_max is not None:
+        if not 0 <= options.index < len(p.N):
+            raise ValueError(f"the bounded state must be one of 0..{len(p.N) - 1}, found {options.index}")
+        row = p.T[options.index] / options.delta_max
+        constraints.append(row @ X @ row <= 1.0)
+    return constraints
+
+
+def _to_x(p: _Scaled, Pz: Array) -> Array:
+    T_inverse = np.linalg.inv(p.T)
+    P = T_inverse.T @ Pz @ T_inverse
+    return (P + P.T) / 2
+
+
+def largest_alpha(A: Array, b: Array, k_lin: Array, mu: float = 1.0, tolerance: float = 1e-4) -> float:
+    """Return the largest alpha [1/s] for which (11) has a solution, within the relative `tolerance`, from below.
+
+    For a fixed alpha, (11) is a linear feasibility problem in P; feasibility is monotone in alpha, so it is bisected
+    between 0 and the decay rate of the slowest pole, which bounds it because every w_i is at least 1.
+    """
+    A, b = checked_system(A, b)
+    k_lin = _checked_gain(k_lin, A, b)
+    p = _scale(A, b, k_lin, mu, 1.0)
+    closed = p.N + np.outer(p.e, p.k)
+    low, high = 0.0, -float(np.linalg.eigvals(closed).real.max())
+    while high - low > tolerance * high:
+        middle = (low + high) / 2
+        low, high = (middle, high) if _feasible(closed, p.W, middle) else (low, middle)
+    return low * p.omega
+
+
+def _feasible(closed: Array, W: Array, alpha: float) -> bool:
+    """Decide (11) in scaled coordinates: maximize t with I <= P <= 1e8 I, -(...) >= t I and W P + P W >= t I."""
+    import cvxpy as cp  # noqa: PLC0415
+
+    n = len(W)
+    P = cp.Variable((n, n), symmetric=True)
+    t = cp.Variable()
+    monotone = _sym(P @ W) * 2
+    decrease = _sym(P @ closed) * 2 + alpha * monotone
+    constraints = [
+        P >> np.eye(n),
+        P << 1e8 * np.eye(n),
+        decrease << -t * np.eye(n),
+        monotone >> t * np.eye(n),
+        t <= 1.0,
+    ]
+    problem = cp.Problem(cp.Maximize(t), constraints)
+    try:
+        _solve(problem, "feasibility")
+    except InfeasibleError:
+        return False
+    return float(t.value) > 1e-6  # type: ignore[arg-type]

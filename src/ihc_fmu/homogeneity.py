@@ -1,0 +1,146 @@
+"""The canonical homogeneous norm ||x||_d online: the root r of ||d(-ln r) x||_P = 1, eq. (12) of the paper.
+
+In chain coordinates z = Phi x with weights w_i = 1 + mu (n - i), and with s = r^-mu, Remark 5 becomes
+
+    N^2(r) = ||d(-ln r) x||_P^2 = r^-2 (c_0 + c_1 s + ... + c_{2n-2} s^(2n-2)),
+
+where c_m is the sum of z_i Pz_ij z_j over (n - i) + (n - j) = m and Pz = Phi^-T P Phi^-1. The coefficients are computed
+once per sample; each evaluation is then one polynomial. Under G_d' P + P G_d > 0, N decreases strictly in r.
+
+Standard library only: this module travels inside the Python FMU.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, inf, isfinite, log, nan
+
+Vector = Sequence[float]
+Matrix = Sequence[Sequence[float]]
+
+NEWTON_LIMIT = 60
+"""Iterations after which the root search stops; ten are rare, sixty bisections alone reach the last bit."""
+
+
+def solve(M: Matrix, B: Matrix) -> list[list[float]]:
+    """Return M^-1 B by Gaussian elimination with partial pivoting; M is (n, n), B is (n, m).
+
+    Raises ValueError where M is singular.
+    """
+    n = len(M)
+    rows = [[*M[i], *B[i]] for i in range(n)]
+    for k in range(n):
+        pivot = max(range(k, n), key=lambda i: abs(rows[i][k]))
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        head = rows[k][k]
+        if head == 0.0 or not isfinite(head):
+            raise ValueError("Phi must be regular, found a singular matrix")
+        for i in range(k + 1, n):
+            factor = rows[i][k] / head
+            for j in range(k, len(rows[i])):
+                rows[i][j] -= factor * rows[k][j]
+    for k in range(n - 1, -1, -1):
+        for j in range(n, len(rows[k])):
+            rest = sum(rows[k][i] * rows[i][j] for i in range(k + 1, n))
+            rows[k][j] = (rows[k][j] - rest) / rows[k][k]
+    return [row[n:] for row in rows]
+
+
+def transpose(M: Matrix) -> list[list[float]]:
+    """Return M'."""
+    return [list(column) for column in zip(*M, strict=True)]
+
+
+def to_chain(Phi: Matrix, P: Matrix) -> list[list[float]]:
+    """Return Pz = Phi^-T P Phi^-1, both (n, n): the quadratic form x' P x in chain coordinates."""
+    Phi_t = transpose(Phi)
+    return solve(Phi_t, transpose(solve(Phi_t, P)))
+
+
+def product(M: Matrix, x: Vector) -> list[float]:
+    """Return M x."""
+    return [sum(a * b for a, b in zip(row, x, strict=True)) for row in M]
+
+
+def norm_polynomial(Pz: Matrix, z: Vector) -> list[float]:
+    """Return c_0, ..., c_{2n-2} of Remark 5's polynomial for the state z (n,) in chain coordinates."""
+    n = len(z)
+    c = [0.0] * (2 * n - 1)
+    for i in range(n):
+        z_i, row = z[i], Pz[i]
+        c[2 * (n - 1 - i)] += row[i] * z_i * z_i
+        for j in range(i + 1, n):
+            c[2 * n - 2 - i - j] += 2.0 * row[j] * z_i * z[j]
+    return c
+
+
+def squared_norm(c: Vector, mu: float, r: float) -> float:
+    """Return N^2(r) = ||d(-ln r) x||_P^2 for the polynomial c of x."""
+    s = r**-mu
+    total = 0.0
+    for coefficient in reversed(c):
+        total = total * s + coefficient
+    return total / (r * r)
+
+
+def bisection_update(
+    c: Vector, mu: float, interval: tuple[float, float], a_min: float, b_max: float, j_max: int
+) -> tuple[float, float]:
+    """Return the interval [a, b] after one run of Algorithm 1 (corrected); ||x||_d is estimated by b.
+
+    The interval is carried from sample to sample: it doubles or halves towards the root by one step a sample, and is
+    bisected `j_max` times once it holds the root. As printed, lines 3 and 4 of the algorithm test b twice and never
+    lower it, so that inside the unit ball the estimate would stay at b_max and the controller be linear.
+    """
+    a, b = interval
+    if squared_norm(c, mu, b) > 1.0:
+        a, b = b, min(2.0 * b, b_max)
+    elif squared_norm(c, mu, a) < 1.0:
+        a, b = max(a / 2.0, a_min), a
+    else:
+        for _ in range(j_max):
+            middle = (a + b) / 2.0
+            if squared_norm(c, mu, middle) < 1.0:
+                b = middle
+            else:
+                a = middle
+    return a, b
+
+
+def homogeneous_norm(c: Vector, mu: float, guess: float = 1.0) -> float:
+    """Return the canonical homogeneous norm of the state with polynomial `c`: the root of N(r) = 1.
+
+    Newton's method on ln N(e^sigma), whose slope is negative, kept inside a bracket that it tightens as it goes and
+    bisected where it leaves it. `guess` is a start, such as the norm a sample ago. The result is 0 for x = 0, NaN for a
+    state that is not finite, and the middle of the bracket reached after NEWTON_LIMIT iterations for a P and a
+    dilation without G_d' P + P G_d > 0, for which no unique root is promised.
+    """
+    size = max(map(abs, c))
+    if not size < inf:
+        return nan
+    if size == 0.0:
+        return 0.0
+    low, high = -inf, inf
+    sigma = log(guess) if 0.0 < guess < inf else 0.0
+    for _ in range(NEWTON_LIMIT):
+        s = exp(-mu * sigma)
+        value, weighted = 0.0, 0.0
+        for coefficient in reversed(c):
+            weighted = weighted * s + value
+            value = value * s + coefficient
+        if not 0.0 < value < inf:  # rounding or overflow far from the root
+            return nan
+        error = log(value) - 2.0 * sigma
+        if error > 0.0:
+            low = sigma
+        else:
+            high = sigma
+        slope = 2.0 + mu * s * weighted / value
+        step = error / slope if slope > 0.0 else inf
+        following = sigma + max(-4.0, min(4.0, step))
+        if not low <= following <= high:
+            following = 0.5 * (low + high) if high - low < inf else sigma + (4.0 if error > 0.0 else -4.0)
+        if abs(following - sigma) <= 1e-15 * max(1.0, abs(sigma)):
+            return exp(following)
+        sigma = following
+    return exp(sigma)

@@ -1,0 +1,59 @@
+"""What a design, a nominal model and a sliding mode design put into the controller FMU: start values, nothing else."""
+
+from __future__ import annotations
+
+from fmu_export.variables import Value
+from plant_fmu.dynamics import coefficients
+from plant_fmu.parameters import QubeParameters, parameter_set
+
+from .design import PAPER_A, PAPER_B, PAPER_K_LIN, Design, Options, inverse_design
+from .interface import ORDER, matrix, upper_triangle, vector
+from .sliding_mode import SlidingMode, fitted_smc
+
+CAPTURE_FRACTION = 0.85
+"""Of the square of the voltage limit: capture where the homogeneous control |k x| needs at most 92 % of the limit."""
+
+
+def default_design() -> Design:
+    """Return the IHC for the paper's A, b and k_lin: mu = 1, alpha = 0.2 1/s, |k x| <= 1.5 V on the unit ball."""
+    return inverse_design(PAPER_A, PAPER_B, PAPER_K_LIN, Options())  # type: ignore[arg-type]
+
+
+def nominal_values(p: QubeParameters) -> dict[str, Value]:
+    """Return the lumped coefficients of the controller's nominal model for the pendulum `p`."""
+    c = coefficients(p)
+    numbers = {
+        "arm_inertia": c.J_11,
+        "pendulum_inertia": c.J_22,
+        "swing_inertia": c.zeta_4,
+        "coupling": c.varpi_2,
+        "gravity_torque": c.gravity,
+        "arm_damping": c.D_r,
+        "pendulum_damping": c.D_p,
+        "torque_per_volt": c.k_m / c.R_m,
+        "motor_damping": c.k_m * c.k_e / c.R_m,
+    }
+    return {f"nominal_{name}": value for name, value in numbers.items()}
+
+
+def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit: float = 10.0) -> dict[str, Value]:
+    """Return the start values that a design decides.
+
+    Raises ValueError for a design of another order than the FMU's four states.
+    """
+    if design.n != ORDER:
+        raise ValueError(f"the controller FMU takes designs of order {ORDER}, found order {design.n}")
+    smc = smc or fitted_smc(design.A, design.b)
+    values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho}
+    for name, numbers in (("k_lin", design.k_lin), ("row", design.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):
+        values |= zip(vector(name), map(float, numbers), strict=True)
+    values |= zip(matrix("Phi"), map(float, design.Phi.ravel()), strict=True)
+    upper = [float(design.P[i, j]) for i in range(ORDER) for j in range(i, ORDER)]
+    values |= zip(upper_triangle("P"), upper, strict=True)
+    values["capture_level"] = CAPTURE_FRACTION * (voltage_limit / design.u_max) ** 2
+    return values
+
+
+def controller_start_values(design: Design, nominal: str = "ident", smc: SlidingMode | None = None) -> dict[str, Value]:
+    """Return the start values of the controller FMU for a design and the named parameter set as nominal model."""
+    return design_values(design, smc) | nominal_values(parameter_set(nominal).parameters)

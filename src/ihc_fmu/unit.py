@@ -1,0 +1,273 @@
+"""The controller as a unit that is stepped: it samples on its own clock and holds its voltage between samples.
+
+Standard library only: this module travels inside the Python FMU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from . import homogeneity, laws, velocity
+from .interface import (
+    DISCRETIZATIONS,
+    LAWS,
+    NORM_SOLVERS,
+    ORDER,
+    STATES,
+    VELOCITY_SOURCES,
+    matrix,
+    upper_triangle,
+    vector,
+)
+from .nominal_model import nominal_model
+from .supervisor import Capture, Fault, Mode, next_mode
+from .swing_up import swing_up, swing_up_voltage
+
+TURN = 2.0 * math.pi
+
+
+@dataclass(slots=True)
+class ControllerState:
+    """Everything of the controller that changes during a run."""
+
+    start_time: float = 0.0  # [s]
+    next_sample: int = 0  # index of the next sample instant
+    primed: bool = False  # whether the estimators have seen a finite measurement
+    mode: int = Mode.IDLE
+    fault: int = Fault.NONE
+    voltage: float = 0.0  # held since the last sample [V]
+    turns: int = 0  # whole turns by which the measured delta has been unwrapped
+    measured_delta: float = 0.0  # as received last [rad]
+    theta_lag: float = 0.0  # velocity filter [rad]
+    delta_lag: float = 0.0  # velocity filter, unwrapped [rad]
+    observed: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  # swing-up observer, delta unwrapped
+    interval: tuple[float, float] = (1.0, 1.0)  # [a, b] of Algorithm 1
+    norm: float = 0.0  # homogeneous norm
+    norm_used: float = 1.0  # its value in the law
+    theta_dot: float = 0.0  # velocity that the law uses [rad/s]
+    delta_dot: float = 0.0
+
+
+class IhcControllerUnit:
+    """The digital controller between two communication points.
+
+    `values` maps every parameter of the interface to its value. Raises ValueError where they contradict each other.
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self.values = values
+        self.law = LAWS[values["law"] - 1]
+        self.exact = NORM_SOLVERS[values["norm_solver"] - 1] == "exact"
+        self.semi_implicit = DISCRETIZATIONS[values["discretization"] - 1] == "semi_implicit"
+        self.from_inputs = VELOCITY_SOURCES[values["velocity_source"] - 1] == "input"
+        self._take_design()
+        self.a_min: float = values["a_min"]
+        self.b_max: float = values["b_max"]
+        if self.a_min > self.b_max:
+            raise ValueError(f"a_min must not exceed b_max, found a_min = {self.a_min} and b_max = {self.b_max}")
+        self.j_max: int = values["j_max"]
+        self.sample_time: float = values["sample_time"]
+        self.limit: float = values["voltage_limit"]
+        self.cutoff: float = values["velocity_filter_cutoff"]
+        self.decay = velocity.filter_decay(self.cutoff, self.sample_time)
+        self.gains = velocity.alpha_beta_gains(
+            values["observer_acceleration_noise"], values["observer_resolution"], self.sample_time
+        )
+        self.model = nominal_model(values)
+        self.swing_up = swing_up(values)
+        self.capture = Capture(*[values[f"capture_{name}"] for name in Capture._fields[:3]], values["fall_back_angle"])
+        if self.capture.angle > self.capture.fall_back_angle:
+            raise ValueError(
+                f"capture_angle must not exceed fall_back_angle, found {self.capture.angle} and "
+                f"{self.capture.fall_back_angle} rad"
+            )
+        self.state = ControllerState(interval=(self.a_min, self.b_max))
+        self.checked_step = 0.0
+
+    def _take_design(self) -> None:
+        values = self.values
+        entries = [values[name] for name in matrix("Phi")]
+        self.Phi = [entries[ORDER * i : ORDER * (i + 1)] for i in range(ORDER)]
+        upper = iter([values[name] for name in upper_triangle("P")])
+        P = [[0.0] * ORDER for _ in range(ORDER)]
+        for i in range(ORDER):
+            for j in range(i, ORDER):
+                P[i][j] = P[j][i] = next(upper)
+        self.k_lin = [values[name] for name in vector("k_lin")]
+        row = [values[name] for name in vector("row")]
+        Phi_t = homogeneity.transpose(self.Phi)
+        columns = [[k + r, r] for k, r in zip(self.k_lin, row, strict=True)]
+        self.kz, self.row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
+        self.Pz = homogeneity.to_chain(self.Phi, P)
+        self.mu: float = values["mu"]
+        self.smc_c = [values[name] for name in vector("smc_c")]
+        self.smc_k = [values[name] for name in vector("smc_k")]
+        self.smc_rho: float = values["smc_rho"]
+
+    def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
+        """Start the sample clock at `time` [s]; with finite measurements, start the estimators from rest there."""
+        self.state.start_time = time
+        if all(map(math.isfinite, inputs)):
+            self._prime(inputs)
+            x = self._estimate(inputs, self.state.observed[1])
+            self.state.norm = homogeneity.homogeneous_norm(self._norm_polynomial(x)[1], self.mu)
+        return []
+
+    def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
+        """Sample the inputs where a sample instant falls on `time` [s]; hold the voltage otherwise.
+
+        Returns messages for the log. Raises ValueError for a communication step of which the sample time is no multiple.
+        """
+        if step != self.checked_step:
+            self._check_step(step)
+        state = self.state
+        index = math.floor((time - state.start_time) / self.sample_time + 0.5 * step / self.sample_time)
+        if index < state.next_sample:
+            return []
+        if index > state.next_sample:
+            raise ValueError(f"sample {state.next_sample} of sample_time {self.sample_time:g} s was stepped over")
+        state.next_sample += 1
+        return self.sample(inputs)
+
+    def sample(self, inputs: tuple[float, ...]) -> list[str]:
+        """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
+        state = self.state
+        bad = [f"{name} = {value}" for name, value in zip(STATES, inputs, strict=True) if not math.isfinite(value)]
+        if bad:
+            return self._fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
+        if state.mode == Mode.FAULT:
+            return []
+        if not state.primed:
+            self._prime(inputs)
+        delta = self._unwrap(inputs[1])
+        x = self._estimate(inputs, delta)
+        z, polynomial = self._norm_polynomial(x)
+        state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
+        earlier = state.mode
+        state.mode = next_mode(
+            earlier,
+            self.capture,
+            sum(polynomial),
+            x[1],
+            x[3],
+            enabled=self.values["enabled"],
+            swing_up=self.values["swing_up_enabled"],
+        )
+        if state.mode == Mode.STABILIZING and earlier != Mode.STABILIZING:
+            state.interval = (self.a_min, self.b_max)
+            x = self._use_filter(inputs, x)
+            z, polynomial = self._norm_polynomial(x)
+        state.theta_dot, state.delta_dot = x[2], x[3]
+        command = self._command(x, z, polynomial)
+        if not math.isfinite(command):
+            return self._fail(Fault.NON_FINITE_CONTROL, f"u = {command}")
+        state.voltage = min(self.limit, max(-self.limit, command))
+        return []
+
+    def outputs(self) -> tuple[float, ...]:
+        """Return the outputs in the order of the interface."""
+        s = self.state
+        return s.voltage, s.norm, s.norm_used, s.mode, s.theta_dot, s.delta_dot, s.fault
+
+    def get_state(self) -> dict[str, Any]:
+        """Return everything that changes during a run, as JSON types."""
+        return asdict(self.state)
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Restore what `get_state` returned, also after a passage through JSON."""
+        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in state.items()}
+        self.state = ControllerState(**fields)
+
+    def _check_step(self, step: float) -> None:
+        ratio = self.sample_time / step
+        if ratio < 1.0 - 1e-6 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise ValueError(
+                f"sample_time must be a multiple of the communication step, found sample_time = {self.sample_time:g} s "
+                f"and a communication step of {step:g} s"
+            )
+        self.checked_step = step
+
+    def _prime(self, inputs: tuple[float, ...]) -> None:
+        theta, delta, theta_dot, delta_dot = inputs
+        state = self.state
+        state.primed = True
+        state.measured_delta = delta
+        state.theta_lag, state.delta_lag = theta, delta
+        velocities = (theta_dot, delta_dot) if self.from_inputs else (0.0, 0.0)
+        state.observed = (theta, delta, *velocities)
+
+    def _unwrap(self, measured: float) -> float:
+        """Return the pendulum angle without the jumps by a turn of a sensor that wraps."""
+        state = self.state
+        jump = measured - state.measured_delta
+        if abs(jump) > math.pi:
+            state.turns -= round(jump / TURN)
+        state.measured_delta = measured
+        return measured + TURN * state.turns
+
+    def _estimate(self, inputs: tuple[float, ...], delta: float) -> list[float]:
+        """Return x for the law in force, delta in (-pi, pi]; advance the filter, and the observer where it is used."""
+        state = self.state
+        theta = inputs[0]
+        if self.from_inputs:
+            return [theta, math.remainder(delta, TURN), inputs[2], inputs[3]]
+        theta_dot, state.theta_lag = velocity.filter_velocity(self.cutoff, self.decay, state.theta_lag, theta)
+        delta_dot, state.delta_lag = velocity.filter_velocity(self.cutoff, self.decay, state.delta_lag, delta)
+        state.theta_dot, state.delta_dot = theta_dot, delta_dot
+        if state.mode == Mode.STABILIZING and abs(math.remainder(delta, TURN)) <= self.capture.fall_back_angle:
+            state.observed = (theta, delta, theta_dot, delta_dot)
+            return [theta, math.remainder(delta, TURN), theta_dot, delta_dot]
+        state.observed = velocity.observe(
+            self.model, self.gains, state.observed, state.voltage, self.sample_time, theta, delta
+        )
+        observed = state.observed
+        return [observed[0], math.remainder(observed[1], TURN), observed[2], observed[3]]
+
+    def _use_filter(self, inputs: tuple[float, ...], x: list[float]) -> list[float]:
+        """Return x for the stabilizing law at capture: measured angles and filtered velocities."""
+        if self.from_inputs:
+            return x
+        delta = math.remainder(inputs[1], TURN)
+        return [inputs[0], delta, self.state.theta_dot, self.state.delta_dot]
+
+    def _norm_polynomial(self, x: list[float]) -> tuple[list[float], list[float]]:
+        z = homogeneity.product(self.Phi, x)
+        return z, homogeneity.norm_polynomial(self.Pz, z)
+
+    def _command(self, x: list[float], z: list[float], polynomial: list[float]) -> float:
+        state = self.state
+        state.norm_used = 1.0
+        if state.mode == Mode.SWING_UP:
+            return swing_up_voltage(self.swing_up, self.model, *x)
+        if state.mode != Mode.STABILIZING:
+            return 0.0
+        if self.law == "LC":
+            return laws.linear(self.k_lin, x)
+        if self.law == "SMC":
+            return laws.sliding_mode(self.smc_c, self.smc_k, self.smc_rho, x)
+        r = self._norm_in_law(polynomial)
+        state.norm_used = r
+        if self.semi_implicit:
+            return laws.implicit_homogeneous_semi(self.kz, self.row_z, self.mu, r, self.sample_time, z)
+        return laws.implicit_homogeneous(self.k_lin, self.kz, self.mu, r, x, z)
+
+    def _norm_in_law(self, polynomial: list[float]) -> float:
+        state = self.state
+        if self.exact:
+            return min(self.b_max, max(self.a_min, state.norm))
+        low, high = state.interval  # brought within bounds that may have been tuned since
+        interval = (min(self.b_max, max(self.a_min, low)), min(self.b_max, max(self.a_min, high)))
+        state.interval = homogeneity.bisection_update(polynomial, self.mu, interval, self.a_min, self.b_max, self.j_max)
+        return state.interval[1]
+
+    def _fail(self, fault: Fault, cause: str) -> list[str]:
+        """Command 0 V from now on; the first cause is kept."""
+        state = self.state
+        state.voltage, state.norm_used = 0.0, 1.0
+        if state.mode == Mode.FAULT:
+            return []
+        state.mode, state.fault = Mode.FAULT, fault
+        return [f"fault {fault.name.lower()}: {cause}; the voltage is 0 V until reset"]

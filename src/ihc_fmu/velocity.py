@@ -1,0 +1,66 @@
+"""Velocities from measured angles: the manufacturer's filter, and a model-based observer for the swing-up.
+
+Standard library only: this module travels inside the Python FMU.
+"""
+
+from __future__ import annotations
+
+from math import exp, sqrt
+
+from .nominal_model import NominalModel, predict
+
+State = tuple[float, float, float, float]
+
+
+def filter_decay(cutoff: float, h: float) -> float:
+    """Return exp(-cutoff h), the discrete pole of the velocity filter for the sample time `h` [s]."""
+    return exp(-cutoff * h)
+
+
+def filter_velocity(cutoff: float, decay: float, lag: float, angle: float) -> tuple[float, float]:
+    """Return (velocity [rad/s], new lag state [rad]) of the manufacturer's filter T(s) = w s/(s + w), Remark 4.
+
+    With the angle held between samples, w s/(s + w) is exactly v = w (angle - lag), lag <- decay lag + (1 - decay) angle.
+    """
+    return cutoff * (angle - lag), decay * lag + (1.0 - decay) * angle
+
+
+def alpha_beta_gains(acceleration_noise: float, resolution: float, h: float) -> tuple[float, float]:
+    """Return (gain on the angle [1], gain on the velocity [1/s]) of the steady-state Kalman filter of one angle.
+
+    The angle's acceleration is white noise of intensity `acceleration_noise` [rad^2/s^3]; its measurement has the
+    variance r = resolution^2/12 at 1 ms, in inverse proportion to `h` [s]. With beta = h times the velocity gain, the
+    stationary Riccati equation reduces to alpha^2 + (alpha - 2) beta + beta^2/6 = 0 and
+    beta^2 = (1 - alpha) q h^3 / r, solved here by bisection on beta.
+    """
+    variance = resolution**2 / 12.0 * (1e-3 / h)
+    index = acceleration_noise * h**3 / variance
+    low, high = 0.0, sqrt(index)
+    for _ in range(100):
+        beta = 0.5 * (low + high)
+        alpha = 0.5 * (sqrt(8.0 * beta + beta * beta / 3.0) - beta)
+        if beta * beta < (1.0 - alpha) * index:
+            low = beta
+        else:
+            high = beta
+    beta = 0.5 * (low + high)
+    return 0.5 * (sqrt(8.0 * beta + beta * beta / 3.0) - beta), beta / h
+
+
+def observe(
+    model: NominalModel, gains: tuple[float, float], x: State, voltage: float, h: float, theta: float, delta: float
+) -> State:
+    """Return the new estimate of (theta, delta, theta', delta') from the last one `x` and the measured angles.
+
+    One Runge-Kutta step of the nominal model under the `voltage` that was applied predicts; each channel is corrected
+    by the constant gains of `alpha_beta_gains`.
+    """
+    alpha, beta = gains
+    p_theta, p_delta, p_theta_dot, p_delta_dot = predict(model, *x, voltage, h)
+    e_theta, e_delta = theta - p_theta, delta - p_delta
+    return (
+        p_theta + alpha * e_theta,
+        p_delta + alpha * e_delta,
+        p_theta_dot + beta * e_theta,
+        p_delta_dot + beta * e_delta,
+    )

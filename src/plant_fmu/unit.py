@@ -1,0 +1,133 @@
+"""The plant as a unit that is stepped: eq. (5), motor and sensors under zero-order hold of the inputs.
+
+Standard library only: this module travels inside the Python FMU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import fields
+from functools import partial
+from typing import Any
+
+from . import dynamics, sensors
+from .integrator import rk4_step, substeps
+from .interface import MOTOR_MODELS
+from .parameters import QubeParameters
+
+RK4_STABILITY = 2.78
+"""The classical Runge-Kutta method is stable on x' = -x/T for steps up to 2.785 T."""
+
+Measurement = tuple[float, float]
+
+
+class QubePlant:
+    """The rotary pendulum between two communication points.
+
+    `values` maps every parameter of the interface to its value. Raises ValueError where they contradict each other.
+    """
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        physical = QubeParameters(**{f.name: values[f.name] for f in fields(QubeParameters)})
+        self.coefficients = dynamics.coefficients(physical, back_emf=values["back_emf"])
+        self.inductance = MOTOR_MODELS[values["motor_model"] - 1] == "inductance"
+        self.voltage_limit: float = values["voltage_limit"]
+        self.solver_step: float = values["solver_step"]
+        self.counts: int = values["encoder_counts"]
+        self.offsets: Measurement = (values["theta_encoder_offset"], values["delta_encoder_offset"])
+        self.noise_std: float = values["noise_std"]
+        self.delay: float = values["measurement_delay"]
+        start = tuple(values[name] for name in ("theta_0", "delta_0", "theta_dot_0", "delta_dot_0"))
+        self.x: dynamics.State = (*start, 0.0) if self.inductance else start
+        self.applied_voltage = 0.0
+        self.random_state: int = values["noise_seed"]
+        self.delay_steps = 0
+        self.delay_line: deque[Measurement] = deque([self._measure()])
+
+    def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
+        """Nothing depends on the first inputs: outputs depend on states only."""
+        return []
+
+    def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
+        """Advance from `time` by `step` [s] with `inputs` (voltage, disturbance_voltage, pendulum_torque) held.
+
+        Returns messages for the log (none). Raises ValueError for a step that cannot work and ArithmeticError where the
+        state stops being finite.
+        """
+        voltage, disturbance, tau_p = inputs
+        limit = self.voltage_limit
+        self.applied_voltage = min(limit, max(-limit, voltage + disturbance))
+        count = substeps(step, self.solver_step)
+        h = step / count
+        self._check_step(step, h)
+        derivative = dynamics.derivative_inductance if self.inductance else dynamics.derivative_static
+        f = partial(derivative, self.coefficients, voltage=self.applied_voltage, tau_p=tau_p)
+        x = self.x
+        try:
+            for _ in range(count):
+                x = rk4_step(f, x, h)
+            finite = math.isfinite(sum(x))
+        except (OverflowError, ValueError):  # sin and cos refuse infinity
+            finite = False
+        if not finite:
+            raise ArithmeticError(f"the state left the range of numbers, x = {self.x} before the step")
+        self.x = x
+        self.delay_line.append(self._measure())
+        while len(self.delay_line) > self.delay_steps + 1:
+            self.delay_line.popleft()
+        return []
+
+    def outputs(self) -> tuple[float, ...]:
+        """Return the outputs in the order of the interface."""
+        theta, delta, theta_dot, delta_dot = self.x[:4]
+        c = self.coefficients
+        current = self.x[4] if self.inductance else dynamics.static_current(c, self.applied_voltage, theta_dot)
+        return (
+            theta,
+            delta,
+            theta_dot,
+            delta_dot,
+            *self.delay_line[0],
+            current,
+            c.k_m * current,
+            dynamics.energy(c, delta, theta_dot, delta_dot),
+        )
+
+    def get_state(self) -> dict[str, Any]:
+        """Return everything that changes during a run, as JSON types."""
+        return {
+            "x": list(self.x),
+            "applied_voltage": self.applied_voltage,
+            "random_state": self.random_state,
+            "delay_steps": self.delay_steps,
+            "delay_line": [list(pair) for pair in self.delay_line],
+        }
+
+    def set_state(self, state: Mapping[str, Any]) -> None:
+        """Restore what `get_state` returned."""
+        self.x = tuple(state["x"])
+        self.applied_voltage = state["applied_voltage"]
+        self.random_state = state["random_state"]
+        self.delay_steps = state["delay_steps"]
+        self.delay_line = deque((pair[0], pair[1]) for pair in state["delay_line"])
+
+    def _check_step(self, step: float, h: float) -> None:
+        if self.delay:
+            self.delay_steps = sensors.delay_in_steps(self.delay, step)
+        time_constant = self.coefficients.L_m / self.coefficients.R_m
+        if self.inductance and h > RK4_STABILITY * time_constant:
+            raise ValueError(
+                f"solver_step must not exceed {RK4_STABILITY * time_constant:.3g} s, {RK4_STABILITY} times the motor's "
+                f"time constant L_m/R_m, for motor_model inductance, found an internal step of {h:.3g} s"
+            )
+
+    def _measure(self) -> Measurement:
+        return self._measure_angle(self.x[0], self.offsets[0]), self._measure_angle(self.x[1], self.offsets[1])
+
+    def _measure_angle(self, angle: float, offset: float) -> float:
+        if self.noise_std:
+            self.random_state, number = sensors.next_gaussian(self.random_state)
+            angle += self.noise_std * number
+        return sensors.quantize(angle, self.counts, offset)
