@@ -16,10 +16,12 @@ _STYLE = (
 
 def documentation(interface: Interface, start: Mapping[str, Value], notes: str) -> str:
     """Return the page; `notes` is HTML that goes between the description and the variables."""
-    sections = "".join(
-        f"<h2>{title}</h2>\n{_table(interface.of(causality), start)}\n"
-        for title, causality in (("Inputs", "input"), ("Outputs", "output"), ("Parameters", "parameter"))
+    groups = (
+        ("Inputs", interface.of("input")),
+        ("Outputs", interface.of("output")),
+        ("Parameters", interface.of("parameter")),
     )
+    sections = "".join(f"<h2>{title}</h2>\n{_table(variables, start)}\n" for title, variables in groups)
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(interface.name)}</title>'
         f"<style>{_STYLE}</style></head>\n<body><h1>{escape(interface.name)}</h1>\n"

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
@@ -27,8 +28,9 @@ STATE_FORMAT = 1
 MANIFEST = "manifest.json"
 
 _kept: list[object] = []
-"""After an exception the wrapper releases its objects, and again when the instance is freed. Keeping one more reference
-to each of them makes that harmless; a failed instance costs its memory until the process ends."""
+"""References that PythonFMU's wrapper gives back without owning them: the globals of the script that it loads, once per
+instantiation, and after an exception its own objects, which it releases again when the instance is freed. One more
+reference kept for each makes that harmless; a failed instance costs its memory until the process ends."""
 
 
 class Unit(Protocol):
@@ -90,8 +92,9 @@ class GuardedSlave(Fmi2Slave):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        resources = Path(self.resources)
+        resources = Path(str(self.resources))
         manifest = json.loads((resources / MANIFEST).read_text(encoding="utf-8"))
+        _kept.append(vars(sys.modules[manifest["script"]]))
         self._check_bundle(resources, manifest)
         self._variables = self.interface.variables
         self._values: list[Value] = [0.0 if v.start is None else v.start for v in self._variables]
@@ -319,5 +322,5 @@ class GuardedSlave(Fmi2Slave):
     def _record_failure(self, call: str, error: Exception) -> None:
         inputs = ", ".join(f"{self._variables[vr].name} = {self._values[vr]!r}" for vr in self._inputs)
         text = "".join(traceback.format_exception(error))
-        self.log(f"{call} failed at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
+        self.log(f"{error}\n{call} at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
         _kept.append((self, type(self), self.log_queue, self.log_queue))

@@ -28,6 +28,12 @@ from .variables import Value
 SHARED = ("fmu_export", "pythonfmu")
 """Packages that a unit's code may import besides its own."""
 
+SCRIPT = """from {package}.{module} import {name}
+
+_kept = [globals()] * 2  # the wrapper releases this dictionary with each instantiation, the slave keeps one more each time
+"""
+"""What the wrapper loads: it looks for a slave class among the names of this script."""
+
 ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 
 
@@ -55,7 +61,7 @@ def export_python_fmu(
     files["documentation/licenses/PythonFMU.txt"] = _license("pythonfmu")
     guid = _guid(files, model_description(interface, start, "", capabilities))
     files["modelDescription.xml"] = model_description(interface, start, guid, capabilities)
-    _write_zip(path, files)
+    write_zip(path, files)
     return path
 
 
@@ -68,10 +74,16 @@ def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[st
     script = f"{slave.interface.name}_{digest[:12]}"
     package = f"{script}_code"
     files = {f"resources/{package}/{name}": text for name, text in code.items()}
-    files[f"resources/{script}.py"] = f"from {package}.{slave.__module__} import {slave.__name__}  # noqa\n".encode()
+    files[f"resources/{script}.py"] = SCRIPT.format(
+        package=package, module=slave.__module__, name=slave.__name__
+    ).encode()
     files["resources/slavemodule.txt"] = script.encode()
-    manifest = {"package": package, "code_digest": _digest_of(code, package), "start_values": dict(start)}
-    # The wrapper runs the script as a module of its own, and the class in the package.
+    manifest = {
+        "script": script,
+        "package": package,
+        "code_digest": _digest_of(code, package),
+        "start_values": dict(start),
+    }
     files[f"resources/{MANIFEST}"] = json.dumps(manifest, indent=1).encode()
     return files
 
@@ -157,7 +169,8 @@ def _guid(files: Mapping[str, bytes], description: bytes) -> str:
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
-def _write_zip(path: Path, files: Mapping[str, bytes]) -> None:
+def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first; beside `path`, then renamed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}")
     try:

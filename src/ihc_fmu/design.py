@@ -151,10 +151,9 @@ class Design:
         unknown = data.keys() - names - {"format", "derived"}
         if missing or unknown:
             raise ValueError(f"a design has missing {sorted(missing)} and unknown {sorted(unknown)} entries")
+        entries: dict[str, Any] = {n: np.array(v, float) if isinstance(v, list) else v for n, v in given.items()}
         try:
-            return cls(
-                **{name: np.array(value, float) if isinstance(value, list) else value for name, value in given.items()}
-            )
+            return cls(**entries)
         except TypeError as error:
             raise ValueError(f"an entry of the design is of the wrong type: {error}") from None
 
@@ -231,7 +230,7 @@ def _solve(problem: Any, what: str) -> None:
         warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate
         try:
             problem.solve(solver=cp.CLARABEL)
-        except cp.error.SolverError:
+        except cp.SolverError:
             raise InfeasibleError(f"{what}: the solver failed on the matrix inequalities") from None
     if problem.status not in {cp.OPTIMAL, cp.OPTIMAL_INACCURATE}:
         raise InfeasibleError(f"{what}: the matrix inequalities have no solution (solver: {problem.status})")

@@ -59,7 +59,7 @@ def to_chain(Phi: Matrix, P: Matrix) -> list[list[float]]:
 
 def product(M: Matrix, x: Vector) -> list[float]:
     """Return M x."""
-    return [sum(a * b for a, b in zip(row, x, strict=True)) for row in M]
+    return [sum([a * b for a, b in zip(row, x, strict=True)]) for row in M]
 
 
 def norm_polynomial(Pz: Matrix, z: Vector) -> list[float]:

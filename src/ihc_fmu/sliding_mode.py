@@ -33,15 +33,15 @@ def sliding_mode_design(A: Array, b: Array, poles: Array, kappa: float, rho: flo
     """
     A, b = np.asarray(A, float), np.asarray(b, float)
     poles = np.asarray(poles, complex)
-    if poles.shape != (len(b) - 1,) or (poles.real >= 0).any():
+    if poles.shape != (len(b) - 1,) or (np.real(poles) >= 0).any():
         raise ValueError(f"the surface needs {len(b) - 1} stable poles, found {poles}")
-    coefficients = np.poly(poles)
-    if np.abs(coefficients.imag).max() > 1e-9 * np.abs(coefficients).max():
+    coefficients = np.asarray(np.poly(poles), complex)
+    if np.abs(np.imag(coefficients)).max() > 1e-9 * np.abs(coefficients).max():
         raise ValueError(f"complex poles must come in conjugate pairs, found {poles}")
     if kappa < 0.0 or rho < 0.0:
         raise ValueError(f"kappa and rho must be non-negative, found {kappa} 1/s and {rho} V")
     Phi = chain_form(A, b).Phi  # its rows are q, qA, ..., so c = sum of coefficient times row
-    c = coefficients.real[::-1] @ Phi
+    c = np.real(coefficients)[::-1] @ Phi
     return SlidingMode(c=c, k_eq=-(c @ A + kappa * c), rho=rho)
 
 

@@ -78,7 +78,9 @@ class IhcControllerUnit:
         )
         self.model = nominal_model(values)
         self.swing_up = swing_up(values)
-        self.capture = Capture(*[values[f"capture_{name}"] for name in Capture._fields[:3]], values["fall_back_angle"])
+        self.capture = Capture(
+            values["capture_level"], values["capture_angle"], values["capture_velocity"], values["fall_back_angle"]
+        )
         if self.capture.angle > self.capture.fall_back_angle:
             raise ValueError(
                 f"capture_angle must not exceed fall_back_angle, found {self.capture.angle} and "

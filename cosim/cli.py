@@ -1,0 +1,447 @@
+"""The command line `qube-ihc`; also `python -m cosim`."""
+
+from __future__ import annotations
+
+import math
+import sys
+import tomllib
+from collections.abc import Iterable
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from .errors import UserError
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
+    from .experiments import Comparison
+    from .results import Result
+
+FAILED = 1
+USAGE = 2
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Implicit homogeneous control of the QUBE-Servo 2: **design** it from a linear controller, **export** plant and "
+    "controller as FMUs, **run** scenarios with them, **compare** the laws. `demo` does all of it.",
+)
+console = Console()
+problems = Console(stderr=True, soft_wrap=True, highlight=False)
+
+FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="ENTRY=VALUE",
+        help="Change an entry of the scenario, e.g. `run.duration=20`, `plant.parameters=hcs` or "
+        "`controller.start.a_min=0.7`; may be repeated.",
+    ),
+]
+
+
+class Method(StrEnum):
+    """How P and k are found."""
+
+    inverse = "inverse"
+    direct = "direct"
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one sentence and exit code 2, a failed run 1, Ctrl-C 130."""
+    from .master import SimulationError
+
+    try:
+        app()
+    except (SimulationError, ArithmeticError) as error:
+        _say_error(error)
+        sys.exit(FAILED)
+    except (UserError, ValueError, OSError) as error:
+        _say_error(error)
+        sys.exit(USAGE)
+
+
+def _say_error(error: BaseException) -> None:
+    problems.print(f"[bold red]error:[/] {_escaped(str(error))}")
+
+
+def _escaped(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+@app.command()
+def design(
+    system: Annotated[
+        Path | None,
+        typer.Option(help="TOML file with A (rows), b and, for the inverse method, k_lin; none: those of the paper."),
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="inverse: from k_lin, eqs. (10)-(11); direct: k free, eq. (9).")
+    ] = Method.inverse,
+    mu: Annotated[float, typer.Option(help="Minus the degree of homogeneity, in (0, 1].")] = 1.0,
+    alpha: Annotated[float, typer.Option(help="Decrease to prove: d||x||/dt <= -alpha ||x||^(1-mu) [1/s].")] = 0.2,
+    u_max: Annotated[
+        float | None, typer.Option(help="Scale of P: largest |k x| on the unit ball [V]; 1.5 if no rule is given.")
+    ] = None,
+    delta_max: Annotated[
+        float | None, typer.Option(help="Scale of P: largest second state (delta) on the unit ball [rad].")
+    ] = None,
+    beta: Annotated[float, typer.Option(help="Monotonicity of the dilation, G X + X G' >= 2 beta X.")] = 0.1,
+    psi: Annotated[float, typer.Option(help="Remark 3: bound of the remainder, adds psi I to the inequality.")] = 0.0,
+    d_max: Annotated[
+        float, typer.Option(help="Matched disturbance that the proof must reject [V]; mu = 1 only.")
+    ] = 0.0,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Where to write the design (JSON).")] = Path(
+        "design.json"
+    ),
+) -> None:
+    """Turn a linear controller into an implicit homogeneous one and prove it by matrix inequalities.
+
+    Without options this is the paper's example. The numbers, their certificate and the largest feasible alpha are
+    printed; the file goes into `export --design`.
+    """
+    from ihc_fmu.design import InfeasibleError, Options, direct_design, inverse_design, largest_alpha
+
+    A, b, k_lin = _read_system(system, need_gain=method is Method.inverse)
+    if u_max is None and delta_max is None:
+        u_max = 1.5
+    options = Options(mu=mu, alpha=alpha, u_max=u_max, delta_max=delta_max, beta=beta, psi=psi, d_max=d_max)
+    try:
+        found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
+    except InfeasibleError as error:
+        if method is Method.direct or psi or d_max:
+            raise
+        raise UserError(f"{error}; the largest feasible alpha is {largest_alpha(A, b, k_lin, mu):.4g} 1/s") from None
+    found.save(output)
+    _print_design(found)
+    console.print(f"largest feasible alpha for this k_lin and mu: {largest_alpha(A, b, found.k_lin, mu):.4g} 1/s")
+    console.print(f"wrote {output}")
+
+
+def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
+    """Return A, b, k_lin of a TOML file, the paper's for None."""
+    from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN
+
+    if path is None:
+        return PAPER_A, PAPER_B, PAPER_K_LIN
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UserError(f"system file {path} does not exist") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is not TOML: {error}") from None
+    wanted = ["A", "b", "k_lin"] if need_gain else ["A", "b"]
+    missing = [name for name in wanted if name not in data]
+    unknown = [name for name in data if name not in ("A", "b", "k_lin")]
+    if missing or unknown:
+        raise UserError(f"{path} must have A, b and k_lin; missing: {missing or 'none'}, unknown: {unknown or 'none'}")
+    import numpy as np
+
+    try:
+        return tuple(np.array(data.get(name, []), dtype=float) for name in ("A", "b", "k_lin"))  # type: ignore[return-value]
+    except (TypeError, ValueError):
+        raise UserError(f"{path}: A must be rows of numbers of equal length, b and k_lin lists of numbers") from None
+
+
+def _print_design(found: Design) -> None:
+    import numpy as np
+
+    def row(values: Iterable[float]) -> str:
+        return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
+
+    table = Table(title=f"implicit homogeneous controller, {found.method}", show_header=False, title_justify="left")
+    table.add_row("k_lin", row(found.k_lin))
+    table.add_row("k = k_lin + row", row(found.k))
+    table.add_row("P", "\n".join(row(line) for line in found.P))
+    table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
+    table.add_row("largest |k x| on the unit ball", f"{found.u_max:.6g} V")
+    table.add_row("largest states on the unit ball", row(found.extent))
+    poles = np.linalg.eigvals(found.A + np.outer(found.b, found.k_lin))
+    table.add_row("poles of A + b k_lin", ", ".join(f"{p:.4g}" for p in poles))
+    for name, margin in found.certificate.as_dict().items():
+        table.add_row(f"certificate: {name}", f"{margin:.4g}")
+    console.print(table)
+
+
+@app.command()
+def export(
+    design: Annotated[
+        Path | None, typer.Option(help="Design file of the `design` command; none: the default design.")
+    ] = None,
+    parameters: Annotated[
+        str, typer.Option(help="Parameter set of the plant: matrices, ident, hcs, listed, swapped.")
+    ] = "ident",
+    nominal: Annotated[str, typer.Option(help="Parameter set of the controller's nominal model.")] = "ident",
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("fmus"),
+    change: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="UNIT.VARIABLE=VALUE",
+            help="Change a start value, e.g. `controller.a_min=0.7` or `plant.encoder_counts=0`; may be repeated.",
+        ),
+    ] = None,
+) -> None:
+    """Export plant and controller as FMUs (FMI 2.0 co-simulation), and both with their wires as one SSP file.
+
+    A design or a parameter set only changes start values. `fmpy info FILE` shows them; each FMU carries its
+    documentation. These FMUs run in Python hosts.
+    """
+    from ihc_fmu.start_values import default_design
+
+    changes: dict[str, dict[str, Any]] = {"plant": {}, "controller": {}}
+    for name, value in _assignments(change):
+        unit, dot, variable = name.partition(".")
+        if not dot or unit not in changes:
+            raise UserError(f"--set must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
+        changes[unit][variable] = value
+    found = default_design() if design is None else _load_design(design)
+    for path in _export(found, parameters, nominal, output, changes):
+        console.print(f"wrote {path}")
+
+
+def _load_design(path: Path) -> Design:
+    from ihc_fmu.design import Design
+
+    if not path.is_file():
+        raise UserError(f"design file {path} does not exist")
+    return Design.load(path)
+
+
+def _export(
+    found: Design, parameters: str, nominal: str, output: Path, changes: dict[str, dict[str, Any]] | None = None
+) -> list[Path]:
+    from fmu_export.python_fmu import export_python_fmu
+    from fmu_export.ssp import write_ssp
+    from ihc_fmu.documentation import notes as controller_notes
+    from ihc_fmu.slave import IhcController
+    from ihc_fmu.start_values import controller_start_values
+    from plant_fmu.documentation import notes as plant_notes
+    from plant_fmu.interface import start_values as plant_start_values
+    from plant_fmu.slave import QubeServo2
+
+    from .scenario import WIRES
+
+    changes = changes or {"plant": {}, "controller": {}}
+    plant = export_python_fmu(
+        QubeServo2,
+        output / "QubeServo2.fmu",
+        plant_start_values(parameters) | changes["plant"],
+        plant_notes(parameters),
+    )
+    controller = export_python_fmu(
+        IhcController,
+        output / "IhcController.fmu",
+        controller_start_values(found, nominal) | changes["controller"],
+        controller_notes(found, nominal),
+    )
+    wires = [(w.source, w.target) for w in WIRES["encoders"]]
+    system = write_ssp(output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires)
+    return [plant, controller, system]
+
+
+def _assignments(items: list[str] | None) -> list[tuple[str, Any]]:
+    """Return (name, value) of each NAME=VALUE; values read as TOML where they are, as plain text otherwise."""
+    pairs = []
+    for item in items or []:
+        name, equals, text = item.partition("=")
+        if not equals or not name:
+            raise UserError(f"--set takes NAME=VALUE, found {item!r}")
+        try:
+            pairs.append((name, tomllib.loads(f"value = {text}")["value"]))
+        except tomllib.TOMLDecodeError:
+            pairs.append((name, text))
+    return pairs
+
+
+@app.command()
+def run(
+    scenario: Annotated[
+        str, typer.Argument(help="TOML file, or a built-in name: disturbed, swing_up, tilt, tilt_ideal.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="CSV file to write; none: `results/NAME.csv`.")
+    ] = None,
+    fmus: FmusOption = Path("fmus"),
+    change: SetOption = None,
+    plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
+) -> None:
+    """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
+
+    A run that fails or is interrupted leaves what was recorded until then.
+    """
+    from .master import Interrupted, SimulationError
+    from .metrics import evaluate
+    from .scenario import load_scenario, run_scenario
+
+    chosen, folder = load_scenario(scenario)
+    chosen = chosen.changed(dict(_assignments(change)))
+    path = output or Path("results") / f"{chosen.name}.csv"
+    with _progress() as bar:
+        task = bar.add_task(chosen.name, total=None)
+        try:
+            result = run_scenario(
+                chosen, fmus, folder, progress=lambda done, total: bar.update(task, completed=done, total=total)
+            )
+        except (SimulationError, Interrupted) as stopped:
+            if len(stopped.result.time):
+                stopped.result.save(path)
+                bar.console.print(f"wrote what was recorded until then, {len(stopped.result.time)} rows, to {path}")
+            raise
+    _warn_of_messages(result)
+    result.save(path)
+    console.print(f"wrote {path} and {path.with_suffix('.json')}")
+    if plot and {"controller.voltage", "controller.mode", "controller.homogeneous_norm"} <= result.signals.keys():
+        from .plots import save_overview
+
+        console.print(f"wrote {save_overview(result, path.with_suffix('.png'), chosen.description or chosen.name)}")
+    if {"controller.voltage", "controller.mode"} <= result.signals.keys():
+        for name, value in evaluate(result).as_dict().items():
+            console.print(f"  {name:14} {_number(value)} {METRIC_UNITS[name]}")
+
+
+METRIC_UNITS = {
+    "settling_time": "s",
+    "integral_q2": "rad^2 s",
+    "steady_rms": "rad",
+    "energy": "V^2 s",
+    "peak_voltage": "V",
+    "capture_time": "s",
+    "captures": "",
+}
+
+
+def _number(value: float) -> str:
+    return "never" if math.isnan(value) else f"{value:.4g}"
+
+
+def _warn_of_messages(result: Result) -> None:
+    for instance, messages in result.metadata.get("messages", {}).items():
+        for message in messages:
+            problems.print(f"[yellow]{instance}:[/] {_escaped(message)}")
+
+
+@app.command()
+def compare(
+    scenario: Annotated[
+        str, typer.Argument(help="TOML file, or a built-in name: disturbed, swing_up, tilt, tilt_ideal.")
+    ],
+    laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
+    draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; none: one per core.")] = None,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
+    ] = Path("results"),
+    fmus: FmusOption = Path("fmus"),
+    change: SetOption = None,
+) -> None:
+    """Run a scenario with each law and draw, print the medians as a table, write results and pictures."""
+    from .experiments import LAWS, Study
+    from .scenario import load_scenario
+
+    chosen_laws = [law.strip() for law in laws.split(",")]
+    unknown = [law for law in chosen_laws if law not in LAWS]
+    if unknown or len(set(chosen_laws)) != len(chosen_laws):
+        raise UserError(f"--laws must be different ones of {', '.join(LAWS)}, found {laws!r}")
+    chosen, folder = load_scenario(scenario)
+    chosen = chosen.changed(dict(_assignments(change)))
+    _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
+
+
+def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
+    from .experiments import compare as run_comparison
+    from .fmu import describe
+
+    for name in ("QubeServo2.fmu", "IhcController.fmu"):
+        if not any((s.folder / name).is_file() for s in studies):
+            describe(fmus / name)  # says what is missing before any process is started
+    with _progress() as bar:
+        task = bar.add_task("co-simulation", total=None)
+        comparisons = run_comparison(
+            studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
+        )
+    from .plots import save_comparison
+
+    for comparison in comparisons:
+        folder = output / comparison.scenario.name
+        comparison.save(folder)
+        save_comparison(comparison.results, folder, comparison.scenario.description or comparison.scenario.name)
+        _print_comparison(comparison)
+        console.print(f"results and pictures in {folder}\n")
+
+
+def _print_comparison(comparison: Comparison) -> None:
+    laws = list(comparison.results)
+    count = len(comparison.draws) // len(laws)
+    drawn = f"medians over {count} draws of the encoder offsets" if count > 1 else "one run"
+    table = Table(title=f"{comparison.scenario.name}: {drawn}", title_justify="left")
+    headings = (
+        "settling [s]",
+        "∫|q|² dt [rad² s]",
+        "steady RMS |q| [rad]",
+        "∫V² dt [V² s]",
+        "peak V [V]",
+        "capture [s]",
+    )
+    table.add_column("law")
+    for heading in headings:
+        table.add_column(heading, justify="right")
+    names = ("settling_time", "integral_q2", "steady_rms", "energy", "peak_voltage", "capture_time")
+    for law in laws:
+        table.add_row(law, *(_number(comparison.median(law, name)) for name in names))
+    console.print(table)
+
+
+def _progress() -> Progress:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
+
+
+@app.command()
+def demo(
+    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 5,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
+    fmus: FmusOption = Path("fmus"),
+) -> None:
+    """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare. Under a minute."""
+    from ihc_fmu.start_values import default_design
+
+    from .experiments import LAWS, Study
+    from .scenario import load_scenario
+
+    console.print("1. design: the paper's A, b and k_lin, inverse design")
+    found = default_design()
+    found.save(output / "design.json")
+    margins = found.certificate
+    console.print(
+        f"   certified: decrease margin {margins.decrease:.2g} 1/s, monotonicity {margins.monotone:.3g}, P > 0"
+    )
+    console.print("2. export")
+    for path in _export(found, "ident", "ident", fmus):
+        console.print(f"   {path}")
+    console.print(
+        "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
+    )
+    studies = []
+    for name in ("swing_up", "tilt", "tilt_ideal"):
+        chosen, folder = load_scenario(name)
+        seeds = () if chosen.plant.measurement == "ideal" else range(1, draws + 1)
+        studies.append(Study(chosen, folder, seeds))
+    _compare(studies, fmus, output, list(LAWS))

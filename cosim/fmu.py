@@ -1,0 +1,280 @@
+"""One FMU instance through FMPy: found, checked, unpacked once per process, started, stepped with prepared buffers."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import math
+import os
+import shutil
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from weakref import WeakValueDictionary
+
+import fmpy
+import fmpy.fmi1
+import fmpy.fmi2
+from fmpy.logging import addLoggerProxy
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+from fmu_export.variables import did_you_mean
+
+from .errors import UserError
+
+Value = float | int | bool
+
+_STATUS = ("OK", "warning", "discard", "error", "fatal", "pending")
+_FATAL = 4
+_MESSAGES_KEPT = 200
+
+_unpacked: dict[tuple[str, int, int], tuple[str, ModelDescription]] = {}
+
+
+_instances: WeakValueDictionary[int, Instance] = WeakValueDictionary()
+"""Instances by the environment pointer that their FMUs hand back with each message."""
+
+
+def _log(environment: int, name: bytes, status: int, category: bytes | None, message: bytes) -> None:
+    instance = _instances.get(environment)
+    if instance is not None and len(instance.messages) < _MESSAGES_KEPT:
+        instance.messages.append(f"{_STATUS[status]}: {message.decode('utf-8', 'replace').strip()}")
+
+
+# FMPy's proxy, which formats C's variadic messages, knows one Python logger per process: this one, kept for ever.
+_logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(_log)
+_allocate = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.calloc)
+_free = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.free)
+
+
+class FmuError(RuntimeError):
+    """An FMI call failed; the message holds instance, call, status and what the FMU logged."""
+
+
+def describe(path: Path) -> tuple[str, ModelDescription]:
+    """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
+
+    Raises UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
+    """
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
+    key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
+    if key not in _unpacked:
+        if not zipfile.is_zipfile(path):
+            raise UserError(f"{path} is not an FMU: it is not a zip file")
+        folder = tempfile.mkdtemp(prefix="qube-ihc-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        try:
+            description = fmpy.read_model_description(str(path))
+            fmpy.extract(str(path), unzipdir=folder)
+        except Exception as error:  # FMPy raises bare exceptions of many kinds
+            raise UserError(f"{path} is not a valid FMU: {error}") from None
+        if description.fmiVersion != "2.0" or description.coSimulation is None:
+            raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
+        _unpacked[key] = (folder, description)
+    return _unpacked[key]
+
+
+def as_value(variable: ScalarVariable, value: Value | str) -> Value:
+    """Return `value` in the type of `variable`; an enumeration may be given by its item's name.
+
+    Raises UserError that names variable, rule and value.
+    """
+    name, kind = variable.name, variable.type
+    if kind == "Enumeration":
+        declared: Any = variable.declaredType
+        items: dict[str, int] = {item.name: int(item.value) for item in declared.items}
+        if value in items:
+            return items[str(value)]
+        if isinstance(value, bool) or value not in items.values():
+            raise UserError(f"{name} must be one of {', '.join(items)}, found {value!r}")
+        return int(value)
+    if kind == "Boolean":
+        if not isinstance(value, bool):
+            raise UserError(f"{name} must be true or false, found {value!r}")
+        return value
+    if isinstance(value, bool | str) or (kind == "Integer" and value != int(value)):
+        raise UserError(f"{name} must be {'an integer' if kind == 'Integer' else 'a number'}, found {value!r}")
+    if not math.isfinite(value):
+        raise UserError(f"{name} must be finite, found {value}")
+    low = -math.inf if variable.min is None else float(variable.min)
+    high = math.inf if variable.max is None else float(variable.max)
+    if not low <= value <= high:
+        raise UserError(
+            f"{name} must lie in [{low:g}, {high:g}] {variable.unit or ''}, found {value}".replace(" ,", ",")
+        )
+    return int(value) if kind == "Integer" else float(value)
+
+
+@dataclass(eq=False)
+class Port:
+    """A buffer that one FMI call fills or empties: variables of one type, in a fixed order."""
+
+    names: tuple[str, ...]
+    references: ctypes.Array
+    values: ctypes.Array
+    call: Callable[..., int]
+    function: str
+
+
+@dataclass(eq=False)
+class Instance:
+    """A running FMU under the name it has in the system."""
+
+    name: str
+    path: Path
+    description: ModelDescription = field(init=False)
+    variables: dict[str, ScalarVariable] = field(init=False)
+    messages: list[str] = field(default_factory=list)
+    _fmu: Any = None
+    _alive: bool = False
+    _running: bool = False
+
+    def __post_init__(self) -> None:
+        self._folder, self.description = describe(self.path)
+        assert self.description.coSimulation is not None  # `describe` refuses others
+        self.model_identifier = self.description.coSimulation.modelIdentifier
+        self.variables = {v.name: v for v in self.description.modelVariables}
+
+    def variable(self, name: str) -> ScalarVariable:
+        """Return the variable, or raise UserError with the nearest names."""
+        try:
+            return self.variables[name]
+        except KeyError:
+            raise UserError(f"{self.name} has no variable named {name!r}{did_you_mean(name, self.variables)}") from None
+
+    def checked_start(self, start: Mapping[str, Value | str]) -> dict[str, Value]:
+        """Return start values in their types; raise UserError for unknown names, outputs and inadmissible values."""
+        checked = {}
+        for name, value in start.items():
+            variable = self.variable(name)
+            if variable.causality not in ("parameter", "input"):
+                raise UserError(f"{self.name}.{name} is an {variable.causality} and has no start value to set")
+            try:
+                checked[name] = as_value(variable, value)
+            except UserError as error:
+                raise UserError(f"{self.name}.{error}") from None
+        return checked
+
+    def start(self, start: Mapping[str, Value], start_time: float, stop_time: float) -> None:
+        """Instantiate and set the start values, up to initialization mode."""
+        self._instantiate()
+        fmu = self._fmu
+        self._call("setupExperiment", fmu.setupExperiment, startTime=start_time, stopTime=stop_time)
+        for name, value in start.items():
+            variable = self.variables[name]
+            setter = {"Real": fmu.setReal, "Boolean": fmu.setBoolean}.get(variable.type, fmu.setInteger)
+            self._call(f"setting {name} = {value}", setter, [variable.valueReference], [value])
+        self._call("enterInitializationMode", fmu.enterInitializationMode)
+
+    def run(self) -> None:
+        """Leave initialization mode."""
+        self._call("exitInitializationMode", self._fmu.exitInitializationMode)
+        self._running = True
+
+    def ports(self, names: Iterable[str], direction: str) -> list[Port]:
+        """Return one port per type among `names`; direction is 'Get' or 'Set'."""
+        ports = []
+        for kind, types, ctype in (
+            ("Real", {"Real"}, ctypes.c_double),
+            ("Integer", {"Integer", "Enumeration"}, ctypes.c_int),
+            ("Boolean", {"Boolean"}, ctypes.c_int),
+        ):
+            chosen = tuple(name for name in names if self.variables[name].type in types)
+            if chosen:
+                references = [self.variables[name].valueReference for name in chosen]
+                function = f"fmi2{direction}{kind}"
+                call = self._fmu.dll[function]
+                call.restype = ctypes.c_int
+                size = len(chosen)
+                call.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_uint), ctypes.c_size_t, ctypes.POINTER(ctype)]
+                ports.append(Port(chosen, (ctypes.c_uint * size)(*references), (ctype * size)(), call, function))
+        return ports
+
+    def transfer(self, ports: list[Port]) -> None:
+        """Perform the FMI call of each port."""
+        for port in ports:
+            status = port.call(self._fmu.component, port.references, len(port.names), port.values)
+            if status > 1:
+                self._fail(port.function, status)
+
+    def stepper(self) -> Callable[[float, float], None]:
+        """Return doStep(time, step); it raises FmuError where the FMU does not return OK or a warning."""
+        call = self._fmu.dll["fmi2DoStep"]
+        call.restype = ctypes.c_int
+        call.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int]
+        component = self._fmu.component
+
+        def step(time: float, size: float) -> None:
+            status = call(component, time, size, 1)
+            if status > 1:
+                self._fail(f"doStep({time!r}, {size!r})", status)
+
+        return step
+
+    def close(self) -> None:
+        """Terminate and free the instance; one whose status was fatal may not be called any more and is left."""
+        if self._fmu is None or not self._alive:
+            return
+        self._alive = False
+        if self._running:
+            try:
+                self._fmu.terminate()
+            except fmpy.fmi1.FMICallException as error:
+                self.messages.append(f"terminate: {error}")
+                if error.status == _FATAL:
+                    return
+        self._fmu.fmi2FreeInstance(self._fmu.component)  # the library stays loaded for the next run
+
+    def _instantiate(self) -> None:
+        where, path = Path.cwd(), list(sys.path)
+        try:
+            self._fmu = fmpy.fmi2.FMU2Slave(
+                guid=self.description.guid,
+                unzipDirectory=self._folder,
+                modelIdentifier=self.model_identifier,
+                instanceName=self.name,
+            )
+            self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
+        except Exception as error:
+            raise FmuError(f"{self.name} ({self.path}): {error}{self._log_text()}") from None
+        finally:
+            os.chdir(where)  # FMPy leaves its own folder where loading fails
+            sys.path[:] = path  # PythonFMU's wrapper inserts one folder per instance
+        self._alive = True
+
+    def _callbacks(self) -> Any:
+        _instances[id(self)] = self
+        callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+        callbacks.logger = _logger
+        callbacks.allocateMemory = _allocate
+        callbacks.freeMemory = _free
+        callbacks.componentEnvironment = id(self)
+        addLoggerProxy(ctypes.byref(callbacks))
+        return callbacks
+
+    def _call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> None:
+        try:
+            function(*args, **kwargs)
+        except fmpy.fmi1.FMICallException as error:
+            self._fail(what, error.status)
+
+    def _fail(self, what: str, status: int) -> None:
+        if status == _FATAL:
+            self._alive = False
+        raise FmuError(f"{self.name}: {what} returned {_STATUS[status]}{self._log_text()}")
+
+    def _log_text(self) -> str:
+        """Return the first line of what the FMU logged of its failure; the whole log stays in `messages`."""
+        causes = [m.split(": ", 1)[1] for m in self.messages if m.startswith(("error", "fatal", "discard"))]
+        if not causes:
+            return ""
+        lines = causes[0].splitlines()
+        wrapped = lines[0].startswith("Fatal py exception") and len(lines) > 1
+        return f": {lines[1] if wrapped else lines[0]}"

@@ -1,0 +1,330 @@
+"""The master: couples FMUs by name, checks the coupling before anything runs, steps them at a fixed step, records.
+
+Time is an integer step index k; the communication points are t_k = t_0 + k h. In the order `controller-first` (Gauss-
+Seidel) the instances step one after the other as listed, each reading what those before it have just computed: with the
+controller listed first its voltage acts in the step in which it was computed, without delay. In the order `parallel`
+(Jacobi) all read the outputs of the last communication point, which delays every wire by one step.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from fmu_export.variables import did_you_mean
+
+from .errors import UserError
+from .fmu import FmuError, Instance, Port, Value
+from .results import Result, versions
+
+Order = Literal["controller-first", "parallel"]
+ORDERS: tuple[str, ...] = get_args(Order)
+
+PROGRESS_EVERY = 256
+"""Steps between two reports of progress."""
+
+
+@dataclass(frozen=True)
+class Component:
+    """An FMU in a system: its name there, its file, and the start values that differ from the file's."""
+
+    name: str
+    path: Path
+    start: Mapping[str, Value | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A connection from an output to an input, each as `instance.variable`."""
+
+    source: str
+    target: str
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A function of time [s] on an input `instance.variable`, evaluated at the start of each step and held."""
+
+    target: str
+    function: Callable[[float], float]
+
+
+@dataclass(frozen=True)
+class System:
+    """Components in their order of stepping, the wires between them, and signals from outside."""
+
+    components: Sequence[Component]
+    wires: Sequence[Wire] = ()
+    signals: Sequence[Signal] = ()
+
+
+class SimulationError(RuntimeError):
+    """A run failed on the way; `result` holds everything recorded until then, `time` and `instance` say where."""
+
+    def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
+        super().__init__(message)
+        self.result, self.time, self.instance = result, time, instance
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a run; `result` holds everything recorded until then."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__("interrupted")
+        self.result = result
+
+
+def step_count(step: float, duration: float) -> int:
+    """Return duration/step; raise UserError where the two do not fit, naming both."""
+    for name, value in (("step", step), ("duration", duration)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise UserError(f"{name} must be positive and finite, found {value} s")
+    steps = round(duration / step)
+    if steps < 1 or abs(duration / step - steps) > 1e-6:
+        raise UserError(f"duration must be a multiple of the step, found {duration:g} s and {step:g} s")
+    return steps
+
+
+class Coupling:
+    """The instances of a system with its wires resolved; construction checks everything that can be checked."""
+
+    def __init__(self, system: System) -> None:
+        names = [c.name for c in system.components]
+        if len(set(names)) != len(names) or not all(name.isidentifier() for name in names):
+            raise UserError(f"instances need unique names of letters, digits and underscores, found {', '.join(names)}")
+        self.instances = {c.name: Instance(c.name, Path(c.path)) for c in system.components}
+        self.start = {c.name: self.instances[c.name].checked_start(c.start) for c in system.components}
+        self.wires = [(self._end(w.source, "output"), self._end(w.target, "input")) for w in system.wires]
+        self.signals = [(self._end(s.target, "input"), s.function) for s in system.signals]
+        for source, target in self.wires:
+            self._check_wire(source, target)
+        self._check_single_sources()
+
+    def outputs(self) -> list[str]:
+        """Return the names of all outputs, as `instance.variable`."""
+        return [
+            f"{i.name}.{v.name}"
+            for i in self.instances.values()
+            for v in i.variables.values()
+            if v.causality == "output"
+        ]
+
+    def checked_outputs(self, names: Sequence[str] | None) -> list[str]:
+        """Return the outputs to record, all for None; raise UserError for names that are not outputs."""
+        if names is None:
+            return self.outputs()
+        for name in names:
+            self._end(name, "output")
+        if len(set(names)) != len(names):
+            raise UserError(f"outputs to record must be named once each, found {', '.join(names)}")
+        return list(names)
+
+    def unit(self, name: str) -> str:
+        """Return the unit of `instance.variable`; '1' where it has none."""
+        instance, variable = name.split(".")
+        return self.instances[instance].variables[variable].unit or "1"
+
+    def _end(self, name: str, causality: str) -> tuple[str, str]:
+        instance, dot, variable = name.partition(".")
+        if not dot or instance not in self.instances:
+            raise UserError(f"{name!r} names no instance's variable{did_you_mean(instance, self.instances)}")
+        found = self.instances[instance].variable(variable)
+        if found.causality != causality:
+            raise UserError(f"{name} must be an {causality}, found {found.causality}")
+        return instance, variable
+
+    def _check_wire(self, source: tuple[str, str], target: tuple[str, str]) -> None:
+        a = self.instances[source[0]].variables[source[1]]
+        b = self.instances[target[0]].variables[target[1]]
+        text = f"the wire {'.'.join(source)} -> {'.'.join(target)}"
+        if a.type != b.type:
+            raise UserError(f"{text} must join equal types, found {a.type} and {b.type}")
+        if (a.unit or "1") != (b.unit or "1"):
+            raise UserError(f"{text} must join equal units, found {a.unit} and {b.unit}")
+
+    def _check_single_sources(self) -> None:
+        targets = [".".join(t) for _, t in self.wires] + [".".join(t) for t, _ in self.signals]
+        for target in targets:
+            if targets.count(target) > 1:
+                raise UserError(f"the input {target} must have one source, found {targets.count(target)}")
+
+
+class _Exchange:
+    """The buffers of a running coupling: input and output ports per instance, and what is copied between them."""
+
+    def __init__(self, coupling: Coupling, recorded: Sequence[str]) -> None:
+        instances = coupling.instances
+        sources = {source for source, _ in coupling.wires} | {tuple(name.split(".")) for name in recorded}
+        targets = [t for _, t in coupling.wires] + [t for t, _ in coupling.signals]
+        self.outputs = {n: i.ports([v for v in i.variables if (n, v) in sources], "Get") for n, i in instances.items()}
+        self.inputs = {n: i.ports([v for o, v in targets if o == n], "Set") for n, i in instances.items()}
+        where_out = _slots(self.outputs)
+        where_in = _slots(self.inputs)
+        self.copies = {name: [] for name in instances}
+        for source, target in coupling.wires:
+            self.copies[target[0]].append((*where_out[source], *where_in[target]))
+        self.drives = {name: [] for name in instances}
+        for target, function in coupling.signals:
+            self.drives[target[0]].append((function, *where_in[target]))
+        self.recorded = [where_out[tuple(name.split("."))] for name in recorded]
+        self.is_real = [buffer._type_ is ctypes.c_double for buffer, _ in self.recorded]
+
+    def gather(self, name: str, time: float) -> None:
+        """Copy what the instance's inputs are wired to into its input buffers."""
+        for source, i, target, j in self.copies[name]:
+            target[j] = source[i]
+        for function, target, j in self.drives[name]:
+            target[j] = function(time)
+
+
+def _slots(ports: Mapping[str, list[Port]]) -> dict[tuple[str, ...], tuple[ctypes.Array, int]]:
+    return {(n, v): (port.values, i) for n, group in ports.items() for port in group for i, v in enumerate(port.names)}
+
+
+class _Recorder:
+    """Rows of recorded outputs, in arrays made before the run."""
+
+    def __init__(self, exchange: _Exchange, names: Sequence[str], rows: int) -> None:
+        self.names, self.exchange, self.rows = names, exchange, 0
+        self.time = np.zeros(rows)
+        self.columns = [np.zeros(rows, dtype=np.float64 if real else np.int64) for real in exchange.is_real]
+
+    def record(self, time: float) -> None:
+        row = self.rows
+        self.time[row] = time
+        for column, (buffer, index) in zip(self.columns, self.exchange.recorded, strict=True):
+            column[row] = buffer[index]
+        self.rows = row + 1
+
+    def result(self, coupling: Coupling, metadata: dict[str, Any]) -> Result:
+        n = self.rows
+        signals = {name: column[:n].copy() for name, column in zip(self.names, self.columns, strict=True)}
+        return Result(self.time[:n].copy(), signals, {name: coupling.unit(name) for name in self.names}, metadata)
+
+
+def simulate(
+    system: System,
+    step: float,
+    duration: float,
+    order: Order = "controller-first",
+    *,
+    start_time: float = 0.0,
+    record: Sequence[str] | None = None,
+    every: int = 1,
+    metadata: Mapping[str, Any] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Result:
+    """Run `system` for `duration` [s] at the fixed communication `step` [s]; return what was recorded.
+
+    `record` names the outputs to record, all for None; `every` records each n-th communication point besides the first
+    and the last. `progress(done, total)` is called with steps. Raises UserError before anything runs for what cannot
+    work, SimulationError where an FMU fails and Interrupted on Ctrl-C, both with what was recorded.
+    """
+    steps = step_count(step, duration)
+    if order not in ORDERS:
+        raise UserError(f"order must be one of {', '.join(ORDERS)}, found {order!r}")
+    if every < 1:
+        raise UserError(f"every must be at least 1, found {every}")
+    coupling = Coupling(system)
+    recorded = coupling.checked_outputs(record)
+    about = {
+        "versions": dict(versions()),
+        "fmus": {
+            n: {"file": i.path.name, "model": i.description.modelName, "guid": i.description.guid}
+            for n, i in coupling.instances.items()
+        },
+        "start_values": coupling.start,
+        "wires": [[w.source, w.target] for w in system.wires],
+        "order": order,
+        "step": step,
+        "every": every,
+        "complete": False,
+        **(metadata or {}),
+    }
+    run = _Run(coupling, recorded, steps, every, about)
+    return run.execute(step, start_time, order, progress)
+
+
+class _Run:
+    """One run, from instantiation to the freed instances."""
+
+    def __init__(self, coupling: Coupling, recorded: list[str], steps: int, every: int, about: dict[str, Any]) -> None:
+        self.coupling, self.steps, self.every, self.about = coupling, steps, every, about
+        self.recorded = recorded
+        self.recorder: _Recorder | None = None
+        self.time, self.current = 0.0, ""
+
+    def execute(
+        self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None
+    ) -> Result:
+        self.time = start_time
+        try:
+            self._start(start_time, start_time + self.steps * step)
+            self._loop(step, start_time, order, progress)
+            self.about["complete"] = True
+        except FmuError as error:
+            where = f"at t = {self.time:.9g} s: "
+            raise SimulationError(where + str(error), self._result(), self.time, self.current) from None
+        except KeyboardInterrupt:
+            raise Interrupted(self._result()) from None
+        finally:
+            for instance in self.coupling.instances.values():
+                instance.close()
+        return self._result()
+
+    def _start(self, start_time: float, stop_time: float) -> None:
+        """Initialize: all enter, outputs are exchanged once in stepping order, all leave."""
+        instances = self.coupling.instances
+        for name, instance in instances.items():
+            self.current = name
+            instance.start(self.coupling.start[name], start_time, stop_time)
+        self.exchange = exchange = _Exchange(self.coupling, self.recorded)
+        for direction in (exchange.outputs, exchange.inputs):
+            for name, instance in instances.items():
+                self.current = name
+                if direction is exchange.inputs:
+                    exchange.gather(name, start_time)
+                instance.transfer(direction[name])
+        for name, instance in instances.items():
+            self.current = name
+            instance.run()
+            instance.transfer(exchange.outputs[name])
+        self.recorder = _Recorder(exchange, self.recorded, self.steps // self.every + 2)
+        self.recorder.record(start_time)
+
+    def _loop(self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None) -> None:
+        assert self.recorder is not None
+        exchange, recorder = self.exchange, self.recorder
+        stages = [
+            (name, instance, exchange.inputs[name], exchange.outputs[name], instance.stepper())
+            for name, instance in self.coupling.instances.items()
+        ]
+        groups = [[stage] for stage in stages] if order == "controller-first" else [stages]
+        for k in range(self.steps):
+            self.time = time = start_time + k * step
+            for group in groups:
+                for name, _, _, _, _ in group:
+                    exchange.gather(name, time)
+                for name, instance, inputs, outputs, do_step in group:
+                    self.current = name
+                    instance.transfer(inputs)
+                    do_step(time, step)
+                    instance.transfer(outputs)
+            done = k + 1
+            if done % self.every == 0 or done == self.steps:
+                recorder.record(start_time + done * step)
+            if progress is not None and (done % PROGRESS_EVERY == 0 or done == self.steps):
+                progress(done, self.steps)
+
+    def _result(self) -> Result:
+        messages = {n: i.messages for n, i in self.coupling.instances.items() if i.messages}
+        about = {**self.about, "messages": messages}
+        if self.recorder is None:
+            return Result(np.zeros(0), {}, {}, about)
+        return self.recorder.result(self.coupling, about)

@@ -1,0 +1,97 @@
+"""What a run leaves: signals over time with units and metadata; written as CSV with a JSON beside it, exactly."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .errors import UserError
+
+FORMAT = "qube-ihc result 1"
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """Signals at communication points.
+
+    time [s] of shape (rows,); signals by name `instance.variable`, each of shape (rows,), float64 or int64; units by
+    the same names; metadata as JSON types. A row holds every output at its time; the voltage of a row is the one that
+    was applied over the step that ended there.
+    """
+
+    time: Array
+    signals: dict[str, Array]
+    units: dict[str, str]
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Array:
+        try:
+            return self.signals[name]
+        except KeyError:
+            raise UserError(f"the result has no signal {name!r}; it has {', '.join(self.signals)}") from None
+
+    def save(self, path: Path) -> None:
+        """Write `path` (CSV) and the JSON beside it, under temporary names first, so that neither is ever half there."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        header = {"format": FORMAT, "units": self.units, "metadata": self.metadata}
+        write_beside(path.with_suffix(".json"), json.dumps(header, indent=1) + "\n")
+        columns = [self.time.tolist(), *[signal.tolist() for signal in self.signals.values()]]
+        lines = [",".join(["time", *self.signals])]
+        lines += [",".join(map(repr, row)) for row in zip(*columns, strict=True)]  # repr is the shortest exact form
+        write_beside(path, "\n".join(lines) + "\n")
+
+    @classmethod
+    def load(cls, path: Path) -> Result:
+        """Read a CSV and the JSON beside it; raise UserError that names the file and what is wrong with it."""
+        try:
+            header = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+            with path.open(newline="", encoding="utf-8") as file:
+                rows = csv.reader(file)
+                names = next(rows)
+                columns = list(zip(*rows, strict=True)) or [() for _ in names]
+        except FileNotFoundError as error:
+            raise UserError(f"result file {error.filename} does not exist") from None
+        except (json.JSONDecodeError, ValueError, StopIteration, UnicodeDecodeError) as error:
+            raise UserError(f"{path}: not a result: {error}") from None
+        if header.get("format") != FORMAT or names[:1] != ["time"] or len(names) != len(columns):
+            raise UserError(f"{path}: not a result of the format {FORMAT!r}")
+        arrays = [_column(path, name, column) for name, column in zip(names, columns, strict=True)]
+        return cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
+
+
+def _column(path: Path, name: str, texts: tuple[str, ...]) -> Array:
+    try:
+        if name != "time" and texts and all(text.lstrip("-").isdigit() for text in texts):
+            return np.array(texts, dtype=np.int64)
+        return np.array(texts, dtype=np.float64)
+    except ValueError as error:
+        raise UserError(f"{path}: column {name}: {error}") from None
+
+
+def write_beside(path: Path, content: str | bytes) -> None:
+    """Write a temporary file beside `path` and rename it to `path`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        beside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def versions() -> Mapping[str, str]:
+    """Return the versions of what computes a result."""
+    import platform  # noqa: PLC0415
+    from importlib.metadata import version  # noqa: PLC0415
+
+    packages = ("qube-ihc", "fmpy", "pythonfmu", "numpy")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

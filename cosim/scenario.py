@@ -1,0 +1,262 @@
+"""Scenarios: one run's description, read from TOML with typed and checked contents, and the system that it means."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fmu_export.variables import did_you_mean
+from plant_fmu.interface import start_values as plant_start_values
+from plant_fmu.parameters import PARAMETER_SETS
+
+from .errors import UserError
+from .master import Component, Order, Signal, System, Wire, step_count
+from .results import Result
+
+BUILT_IN = Path(__file__).parent / "scenarios"
+
+_VOLTAGE = Wire("controller.voltage", "plant.voltage")
+WIRES = {
+    "encoders": (
+        Wire("plant.theta_encoder", "controller.theta"),
+        Wire("plant.delta_encoder", "controller.delta"),
+        _VOLTAGE,
+    ),
+    "ideal": (
+        *(Wire(f"plant.{name}", f"controller.{name}") for name in ("theta", "delta", "theta_dot", "delta_dot")),
+        _VOLTAGE,
+    ),
+}
+"""How the two units are wired, by the measurement that the controller gets."""
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+StartValue = bool | int | float | str
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class RunSection(_Section):
+    """How long and how finely."""
+
+    step: Positive = Field(1e-3, description="communication step [s]")
+    duration: Positive = Field(10.0, description="duration, a multiple of the step [s]")
+    order: Order = Field(
+        "controller-first", description="coupling order: controller-first (no delay) or parallel (one step)"
+    )
+    seed: int | None = Field(
+        None,
+        ge=0,
+        lt=2**31,
+        description="draws the encoders' sub-count offsets and seeds the noise; none: the FMU's start values",
+    )
+
+
+class PlantSection(_Section):
+    """The plant FMU."""
+
+    fmu: str = Field("QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario")
+    parameters: str | None = Field(
+        "ident", description=f"named set: {', '.join(PARAMETER_SETS)}; none: the FMU's start values"
+    )
+    measurement: Literal["encoders", "ideal"] = Field(
+        "encoders", description="encoders: counts, and velocities from the controller's filter; ideal: the true state"
+    )
+    start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the plant FMU by name")
+
+
+class ControllerSection(_Section):
+    """The controller FMU."""
+
+    fmu: str = Field("IhcController.fmu", description="file, in the folder given to the command or beside the scenario")
+    design: str | None = Field(
+        None, description="design file beside the scenario; none: the design exported in the FMU"
+    )
+    start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the controller FMU by name")
+
+
+class Sine(_Section):
+    """One term amplitude * sin(frequency t + phase)."""
+
+    amplitude: Finite = Field(description="amplitude, in the unit of the disturbed input")
+    frequency: Finite = Field(description="angular frequency [rad/s]")
+    phase: Finite = Field(0.0, description="phase [rad]")
+
+
+class DisturbanceSection(_Section):
+    """A sum of sines times a gain on an input of the plant."""
+
+    input: Literal["disturbance_voltage", "pendulum_torque"] = Field(
+        "disturbance_voltage", description="input of the plant [V or N.m]"
+    )
+    gain: Finite = Field(1.0, description="factor of the whole sum, the paper's G [1]")
+    sines: tuple[Sine, ...] = Field((), description="terms of the sum")
+
+    def value(self, time: float) -> float:
+        """Return the disturbance at `time` [s]."""
+        return self.gain * sum(s.amplitude * math.sin(s.frequency * time + s.phase) for s in self.sines)
+
+
+class RecordSection(_Section):
+    """What is kept."""
+
+    outputs: tuple[str, ...] | None = Field(None, description="outputs as instance.variable; none: all")
+    every: int = Field(1, ge=1, description="keep every n-th communication point, and the first and the last")
+
+
+class Scenario(_Section):
+    """One run's description. `name` is the file's; every section and every entry has a default."""
+
+    name: str = "scenario"
+    description: str = ""
+    run: RunSection = RunSection()  # type: ignore[call-arg]
+    plant: PlantSection = PlantSection()  # type: ignore[call-arg]
+    controller: ControllerSection = ControllerSection()  # type: ignore[call-arg]
+    disturbance: DisturbanceSection = DisturbanceSection()  # type: ignore[call-arg]
+    record: RecordSection = RecordSection()  # type: ignore[call-arg]
+
+    def changed(self, changes: Mapping[str, Any]) -> Scenario:
+        """Return the scenario with entries replaced, each named `section.entry` or `section.start.variable`.
+
+        Raises UserError for a name that does not exist or a value outside its rule.
+        """
+        data = self.model_dump()
+        for path, value in changes.items():
+            *parents, last = path.split(".")
+            place: Any = data
+            for parent in parents:
+                if not isinstance(place, dict) or parent not in place:
+                    raise UserError(f"the scenario has no entry {path!r}{did_you_mean(parent, place)}")
+                place = place[parent]
+            if not isinstance(place, dict):
+                raise UserError(f"the scenario has no entry {path!r}")
+            place[last] = value
+        return _validated(data, self.name)
+
+
+def built_in_names() -> list[str]:
+    """Return the names of the scenarios that come with the project."""
+    return sorted(file.stem for file in BUILT_IN.glob("*.toml"))
+
+
+def load_scenario(name: str) -> tuple[Scenario, Path]:
+    """Return (scenario, its folder) from a TOML file, or a built-in one by its name.
+
+    Raises UserError that names the file, the entry, the rule and the value.
+    """
+    path = Path(name)
+    if not path.suffix and not path.exists():
+        path = BUILT_IN / f"{name}.toml"
+        if not path.exists():
+            raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, IsADirectoryError):
+        raise UserError(f"scenario file {path} does not exist") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path} is not TOML: {error}") from None
+    return _validated({"name": path.stem, **data}, str(path)), path.parent
+
+
+def _validated(data: dict[str, Any], source: str) -> Scenario:
+    try:
+        scenario = Scenario.model_validate(data)
+    except ValidationError as error:
+        raise UserError(f"{source}: {_first_problem(error)}") from None
+    step_count(scenario.run.step, scenario.run.duration)
+    names = scenario.plant.parameters
+    if names is not None and names not in PARAMETER_SETS:
+        raise UserError(f"{source}: plant.parameters must be one of {', '.join(PARAMETER_SETS)}, found {names!r}")
+    return scenario
+
+
+def _first_problem(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    place = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        section: Any = Scenario
+        for part in problem["loc"][:-1]:
+            field = section.model_fields.get(str(part)) if hasattr(section, "model_fields") else None
+            section = field.annotation if field else section
+        known = list(getattr(section, "model_fields", {}))
+        return f"there is no entry {place}{did_you_mean(str(problem['loc'][-1]), known)}"
+    rule = problem["msg"].replace("Input should be", "must be").replace("Field required", "is required")
+    return f"{place} {rule}, found {problem['input']!r}"
+
+
+def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> System:
+    """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
+
+    Raises UserError for files that do not exist and designs that fail their certificate.
+    """
+    plant_start: dict[str, StartValue] = {}
+    if scenario.plant.parameters is not None:
+        plant_start |= plant_start_values(scenario.plant.parameters)
+    if scenario.run.seed is not None:
+        plant_start |= random_measurement(scenario.run.seed)
+    controller_start: dict[str, StartValue] = {"sample_time": scenario.run.step}
+    if scenario.controller.design is not None:
+        controller_start |= _design_values((folder or Path()) / scenario.controller.design)
+    if scenario.plant.measurement == "ideal":
+        controller_start["velocity_source"] = "input"
+    signals = []
+    if scenario.disturbance.sines and scenario.disturbance.gain:
+        signals.append(Signal(f"plant.{scenario.disturbance.input}", scenario.disturbance.value))
+    return System(
+        components=(
+            Component(
+                "controller", _find(scenario.controller.fmu, fmus, folder), controller_start | scenario.controller.start
+            ),
+            Component("plant", _find(scenario.plant.fmu, fmus, folder), plant_start | scenario.plant.start),
+        ),
+        wires=WIRES[scenario.plant.measurement],
+        signals=signals,
+    )
+
+
+def random_measurement(seed: int) -> dict[str, StartValue]:
+    """Return encoder offsets drawn uniformly inside a count, and the noise's seed, for a seed of the run."""
+    import numpy as np  # noqa: PLC0415
+
+    theta, delta = np.random.default_rng(seed).random(2)
+    return {"theta_encoder_offset": float(theta), "delta_encoder_offset": float(delta), "noise_seed": seed}
+
+
+def run_scenario(
+    scenario: Scenario, fmus: Path, folder: Path | None = None, progress: Callable[[int, int], None] | None = None
+) -> Result:
+    """Run `scenario` and return its result, whose metadata holds it; raises as `simulate`."""
+    from .master import simulate  # noqa: PLC0415
+
+    run = scenario.run
+    return simulate(
+        build_system(scenario, fmus, folder),
+        run.step,
+        run.duration,
+        run.order,
+        record=scenario.record.outputs,
+        every=scenario.record.every,
+        metadata={"scenario": scenario.model_dump(mode="json")},
+        progress=progress,
+    )
+
+
+def _design_values(path: Path) -> dict[str, StartValue]:
+    from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
+    from ihc_fmu.start_values import design_values  # noqa: PLC0415
+
+    if not path.is_file():
+        raise UserError(f"design file {path} does not exist")
+    return dict(design_values(Design.load(path)))
+
+
+def _find(file: str, fmus: Path, folder: Path | None) -> Path:
+    beside = (folder or Path()) / file
+    return beside if folder is not None and beside.is_file() else fmus / file

@@ -1,0 +1,304 @@
+"""Designs by matrix inequalities: an independent solution, active bounds, limits of alpha, robust terms, files."""
+
+import json
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from ihc_fmu.certificate import CertificateError, norm_of
+from ihc_fmu.companion import chain_form, generator
+from ihc_fmu.design import Design, InfeasibleError, Options, direct_design, inverse_design, largest_alpha
+from ihc_fmu.laws import implicit_homogeneous
+
+# An independent solution of the same matrix inequalities: mu = 1, alpha = 0.2 1/s, beta = 0.1, |k x| <= u_max.
+P_UMAX_1P5 = [
+    [2.1488205077834017, -23.215181761620986, 2.0378689019254588, -2.3617632416162984],
+    [-23.21518176162098, 281.6316858194104, -22.960417628716524, 27.838461069848385],
+    [2.0378689019254597, -22.96041762871653, 1.9888797633816009, -2.3104099917876617],
+    [-2.3617632416162984, 27.838461069848385, -2.310409991787661, 2.8334190590014003],
+]
+P_UMAX_10 = [
+    [0.04834846142512654, -0.5223415896364721, 0.045852050293322816, -0.0531396729363667],
+    [-0.5223415896364721, 6.3367129309367325, -0.5166093966461217, 0.6263653740715885],
+    [0.04585205029332282, -0.5166093966461219, 0.04474979467608601, -0.051984224815222385],
+    [-0.05313967293636671, 0.6263653740715888, -0.05198422481522238, 0.06375192882753151],
+]
+# Section V of the paper, printed
+PRINTED_K = [-113.4482, -108.1254, -13.7505, -0.2833]
+PRINTED_P = [
+    [0.1304, 0.0053, 0.0213, 0.0844],
+    [0.0053, 0.1729, 0.0344, 0.1168],
+    [0.0213, 0.0344, 0.3037, 0.2127],
+    [0.0844, 0.1168, 0.2127, 0.3930],
+]
+
+
+def system(n):
+    """A random controllable system with k_lin that places real poles at -2, -3, ... 1/s."""
+    rng = np.random.default_rng(n)
+    A, b = rng.normal(size=(n, n)), rng.normal(size=n)
+    form = chain_form(A, b)
+    kz = -np.poly(-np.arange(2.0, n + 2))[:0:-1]
+    return A, b, kz @ form.Phi - form.row
+
+
+def integrator_chain(n):
+    kz = -np.poly(-np.arange(2.0, n + 2))[:0:-1]
+    return np.eye(n, k=1), np.eye(n)[-1], kz
+
+
+def worst_rates(design, disturbance, count=400):
+    """Return (||x||_d, the largest d||x||_d/dt under |d| <= `disturbance`) at random x, by central differences."""
+    rng = np.random.default_rng(11)
+    found = []
+    for _ in range(count):
+        x = np.linalg.solve(np.linalg.cholesky(design.P).T, rng.normal(size=design.n)) * 10.0 ** rng.uniform(-2, 0.5)
+        r, z = norm_of(design, x), design.Phi @ x
+        u = implicit_homogeneous(design.k_lin, design.kz, design.mu, r, x, z)
+        rates = []
+        for d in (disturbance, -disturbance):
+            velocity = design.A @ x + design.b * (u + d)
+            step = 1e-6 * r / max(1e-9, norm_of(design, velocity))
+            rates.append((norm_of(design, x + step * velocity) - norm_of(design, x - step * velocity)) / (2 * step))
+        found.append((r, max(rates)))
+    return np.array(found).T
+
+
+def test_default_design_is_the_independent_solution(design):
+    np.testing.assert_allclose(design.P, P_UMAX_1P5, rtol=1e-3)
+    np.testing.assert_allclose(design.scaled_to(u_max=10.0).P, P_UMAX_10, rtol=1e-3)
+    assert (design.mu, design.alpha) == (1.0, 0.2)
+
+
+def test_gain_is_the_linear_one_plus_the_row_of_the_chain(design):
+    """Eq. (10) in the coordinates of x."""
+    np.testing.assert_allclose(design.k, [2.0, -24.677, 1.9998, -2.5], rtol=1e-4)
+    np.testing.assert_allclose(design.kz, [-11344.7997, -11343.5853, -1113.4123, -23.42865], rtol=1e-8)
+    np.testing.assert_allclose(design.k, design.kz @ design.Phi, rtol=1e-9)
+
+
+def test_printed_gain_is_not_that_of_the_printed_equation(design):
+    assert np.abs(design.k - PRINTED_K).max() > 80.0
+
+
+@pytest.mark.parametrize("k", ["printed", "eq. (10)"])
+@pytest.mark.parametrize("coordinates", ["x", "z"])
+def test_printed_matrix_fails_the_printed_inequality(design, coordinates, k):
+    """Inequality (11) at mu = 1, alpha = 1e-3, for P in pendulum or chain coordinates, with either gain."""
+    gain = np.array(PRINTED_K) if k == "printed" else design.k
+    P, Phi = np.array(PRINTED_P), design.Phi
+    P = Phi.T @ P @ Phi if coordinates == "z" else P
+    M = design.A - np.outer(design.b, design.row) + np.outer(design.b, gain) + 1e-3 * generator(Phi, 1.0)
+    assert np.linalg.eigvals(np.linalg.solve(P, M.T @ P + P @ M)).real.max() > 1.0
+    with pytest.raises(CertificateError):
+        Design(design.A, design.b, gain - design.row, P, mu=1.0, alpha=1e-3)
+
+
+@pytest.mark.parametrize("u_max", [0.5, 1.5, 10.0])
+def test_voltage_bound_is_active(paper, u_max):
+    """The largest unit ball uses all of |k x| <= u_max: the maximum over the ellipsoid, at x = P^-1 k' / u_max."""
+    design = inverse_design(*paper, Options(u_max=u_max))
+    x = np.linalg.solve(design.P, design.k) / u_max
+    assert x @ design.P @ x == pytest.approx(1.0, rel=1e-4)
+    assert design.k @ x == pytest.approx(u_max, rel=1e-4)
+    assert design.u_max == pytest.approx(u_max, rel=1e-4)
+
+
+@pytest.mark.parametrize("index", [0, 1])
+def test_state_bound_is_active(paper, index):
+    design = inverse_design(*paper, Options(u_max=None, delta_max=0.2, index=index))
+    assert design.extent[index] == pytest.approx(0.2, rel=1e-4)
+    assert np.sqrt(np.linalg.inv(design.P)[index, index]) == pytest.approx(0.2, rel=1e-4)
+
+
+def test_of_two_bounds_both_hold_and_one_is_active(paper):
+    design = inverse_design(*paper, Options(u_max=1.5, delta_max=0.05))
+    assert design.extent[1] <= 0.05 * (1 + 1e-6)
+    assert design.u_max <= 1.5 * (1 + 1e-6)
+    assert max(design.extent[1] / 0.05, design.u_max / 1.5) == pytest.approx(1.0, rel=1e-4)
+
+
+def test_rescaling_meets_its_rule_and_keeps_the_proof(design):
+    for scaled in (design.scaled_to(u_max=7.0), design.scaled_to(index=1, bound=0.3)):
+        assert scaled.certificate.decrease == pytest.approx(design.certificate.decrease, rel=1e-3)
+        np.testing.assert_allclose(scaled.P / scaled.P[0, 0], design.P / design.P[0, 0], rtol=1e-9)
+    assert design.scaled_to(u_max=7.0).u_max == pytest.approx(7.0, rel=1e-9)
+    assert design.scaled_to(index=1, bound=0.3).extent[1] == pytest.approx(0.3, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("rule", "message"),
+    [
+        ({}, "needs one rule"),
+        ({"index": 1}, "needs one rule"),
+        ({"u_max": 1.0, "index": 1, "bound": 1.0}, "needs one rule"),
+        ({"u_max": -1.0}, "must be positive and finite, found -1.0"),
+        ({"u_max": np.nan}, "must be positive and finite"),
+    ],
+)
+def test_rescaling_without_a_rule_is_refused(design, rule, message):
+    with pytest.raises(ValueError, match=message):
+        design.scaled_to(**rule)
+
+
+@pytest.mark.parametrize(("mu", "alpha"), [(0.01, 1.087), (0.25, 0.629), (0.5, 0.437), (0.75, 0.335), (1.0, 0.2715)])
+def test_largest_alpha_is_known_and_sharp(paper, mu, alpha):
+    """The values were found by an independent bisection over the same inequalities."""
+    assert largest_alpha(*paper, mu) == pytest.approx(alpha, rel=2e-3)
+    assert inverse_design(*paper, Options(mu=mu, alpha=0.99 * alpha)).certificate.decrease > 0.0
+    with pytest.raises(InfeasibleError, match=f"alpha = {1.01 * alpha:g} 1/s"):
+        inverse_design(*paper, Options(mu=mu, alpha=1.01 * alpha))
+
+
+def test_largest_alpha_of_the_double_integrator_with_equal_weights_is_its_decay_rate():
+    """As mu -> 0 the inequality asks for P with A_cl' P + P A_cl <= -2 alpha P: the slowest pole, here -2 1/s."""
+    assert largest_alpha(*integrator_chain(2), mu=1e-4) == pytest.approx(2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("make", [system, integrator_chain])
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 6])
+def test_systems_of_other_orders_are_designed_and_certified(make, n):
+    A, b, k_lin = make(n)
+    alpha = 0.5 * largest_alpha(A, b, k_lin)
+    design = inverse_design(A, b, k_lin, Options(alpha=alpha, u_max=2.0))
+    assert design.u_max == pytest.approx(2.0, rel=1e-3)
+    r, rate = worst_rates(design, 0.0, count=50)
+    assert (rate <= -alpha * (1 - 1e-5)).all()
+    np.testing.assert_array_equal(design.k_lin, k_lin)
+
+
+def test_direct_design_is_certified_and_its_bound_active(paper):
+    """Eq. (9): the gain is free, and reaches an alpha that no P proves for the manufacturer's gain."""
+    A, b, _ = paper
+    design = direct_design(A, b, Options(alpha=1.0, u_max=10.0))
+    assert design.u_max == pytest.approx(10.0, rel=1e-3)
+    assert design.certificate.decrease > 0.0
+    assert np.linalg.eigvals(A + np.outer(b, design.k_lin)).real.max() < 0.0
+    _, rate = worst_rates(design, 0.0, count=100)
+    assert (rate <= -1.0 * (1 - 1e-5)).all()
+
+
+def test_design_with_state_dependent_disturbance_has_the_term_of_remark_3(paper):
+    """(A_0 + b k)' P + P (A_0 + b k) + alpha (...) + psi I <= 0, and ten times that psi is refused."""
+    options = Options(u_max=10.0, alpha=0.1, psi=1e-3)
+    design = inverse_design(*paper, options)
+    closed = design.A + np.outer(design.b, design.k_lin) + 0.1 * generator(design.Phi, 1.0)
+    M = closed.T @ design.P + design.P @ closed
+    assert np.linalg.eigvalsh(M + 1e-3 * np.eye(4))[-1] <= 0.0
+    assert np.linalg.eigvalsh(M + 1e-2 * np.eye(4))[-1] > 0.0
+    with pytest.raises(CertificateError, match=r"\+ disturbance terms <= 0 fails"):
+        Design(*paper, design.P, mu=1.0, alpha=0.1, psi=1e-2)
+
+
+def test_design_for_a_matched_disturbance_decreases_at_its_rate_under_the_worst_sign(paper):
+    design = inverse_design(*paper, Options(u_max=10.0, alpha=0.05, d_max=0.03))
+    assert design.certificate.matched_disturbance > 0.03
+    _, rate = worst_rates(design, 0.03)
+    assert (rate <= -0.05 * (1 - 1e-5)).all()
+
+
+def test_disturbance_within_the_certificate_never_makes_the_norm_grow(design):
+    bound = design.certificate.matched_disturbance
+    assert bound > 0.005
+    _, rate = worst_rates(design, 0.999 * bound)
+    assert (rate < 0.0).all()
+    _, rate = worst_rates(design, 2 * design.u_max)  # the check can fail
+    assert (rate > 0.0).any()
+
+
+def test_unstable_linear_controller_is_refused_with_its_pole(paper):
+    A, b, _ = paper
+    slowest = np.linalg.eigvals(A).real.max()
+    for function in (inverse_design, largest_alpha):
+        with pytest.raises(ValueError, match=rf"k_lin must stabilize \(A, b\).* {slowest:.4g} 1/s"):
+            function(A, b, np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"mu": 0.0}, r"mu must lie in \(0, 1\], found 0.0"),
+        ({"mu": 1.1}, r"mu must lie in \(0, 1\], found 1.1"),
+        ({"alpha": 0.0}, "alpha must be positive and finite"),
+        ({"psi": -1.0}, "psi must be non-negative and finite, found -1.0"),
+        ({"d_max": np.inf}, "d_max must be non-negative and finite, found inf"),
+        ({"d_max": 0.1, "mu": 0.5}, "only at mu = 1, found mu = 0.5"),
+        ({"u_max": None}, "needs a rule"),
+        ({"u_max": 0.0}, "u_max must be positive and finite, found 0.0"),
+        ({"delta_max": -1.0}, "delta_max must be positive and finite, found -1.0"),
+        ({"beta": 1.0}, r"beta must lie in \(0, 1\), found 1.0"),
+    ],
+)
+def test_contradictory_options_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        Options(**changes)
+
+
+def test_requests_that_no_design_can_meet_are_refused(paper, design):
+    A, b, k_lin = paper
+    with pytest.raises(ValueError, match="must be controllable"):
+        inverse_design(np.eye(4), b, k_lin)
+    with pytest.raises(ValueError, match=r"k_lin must have 4 finite entries, found shape \(3,\)"):
+        inverse_design(A, b, k_lin[:3])
+    with pytest.raises(ValueError, match=r"one of 0\.\.3, found 4"):
+        inverse_design(A, b, k_lin, Options(delta_max=0.1, index=4))
+    with pytest.raises(ValueError, match="a direct design needs u_max"):
+        direct_design(A, b, Options(u_max=None, delta_max=0.1))
+    with pytest.raises(ValueError, match=r"P must be finite and of shape \(4, 4\), found shape \(2, 2\)"):
+        Design(A, b, k_lin, np.eye(2), 1.0, 0.1)
+    with pytest.raises(ValueError, match="cannot be rescaled"):
+        Design(A, b, k_lin, design.P, 1.0, 0.1, psi=1e-12).scaled_to(u_max=1.0)
+
+
+# Files
+
+
+def test_design_survives_its_file_to_the_last_bit(design, tmp_path):
+    path = tmp_path / "new" / "design.json"
+    design.save(path)
+    loaded = Design.load(path)
+    for field in fields(Design):
+        np.testing.assert_array_equal(getattr(loaded, field.name), getattr(design, field.name), err_msg=field.name)
+    assert loaded.to_json() == design.to_json() == path.read_text(encoding="utf-8")
+    assert [p.name for p in path.parent.iterdir()] == ["design.json"]
+
+
+def test_derived_numbers_in_a_file_are_computed_anew(design):
+    data = json.loads(design.to_json())
+    data["derived"] = {"k": [0.0] * 4}
+    np.testing.assert_array_equal(Design.from_json(json.dumps(data)).k, design.k)
+
+
+def tampered(design, **changes):
+    data = json.loads(design.to_json()) | changes
+    return json.dumps({name: value for name, value in data.items() if value is not ...})
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"P": np.eye(4).tolist()}, "P .* fails: margin"),
+        ({"alpha": 0.3}, "<= 0 fails: margin"),
+        ({"k_lin": [2.0, -10.0, 2.0, -2.5]}, "Hurwitz fails"),
+        ({"P": ...}, r"missing \['P'\]"),
+        ({"more": 1}, r"unknown \['more'\]"),
+        ({"format": "qube-ihc design 2"}, "the format must be 'qube-ihc design 1', found 'qube-ihc design 2'"),
+        ({"alpha": "0.2"}, "wrong type"),
+        ({"b": [1.0, 2.0]}, "b must have 4 entries"),
+        ({"A": [[0.0, None]] * 2}, "wrong type|must be"),
+    ],
+)
+def test_file_that_proves_nothing_is_refused_by_name(design, tmp_path, changes, message):
+    path = tmp_path / "design.json"
+    path.write_text(tampered(design, **changes), encoding="utf-8")
+    with pytest.raises(ValueError, match=message) as refusal:
+        Design.load(path)
+    assert str(path) in str(refusal.value)
+    assert isinstance(refusal.value, CertificateError) == ("fails" in message)
+
+
+@pytest.mark.parametrize(("text", "message"), [("P = 1", "not JSON"), ("[1, 2]", "found 'list'"), ("{}", "found None")])
+def test_text_that_is_no_design_is_refused(text, message):
+    with pytest.raises(ValueError, match=message):
+        Design.from_json(text)

@@ -1,0 +1,197 @@
+"""The homogeneous norm: its defining equation, its homogeneity, and Algorithm 1 of the paper."""
+
+from math import ceil, exp, inf, isnan, log, log2, nan, ulp
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+from scipy.optimize import brentq
+
+from ihc_fmu import homogeneity as hom
+from ihc_fmu.companion import chain_form, generator, weights
+
+examples = settings(deadline=None, derandomize=True, max_examples=150)
+degrees = st.floats(0.01, 1.0)
+
+
+@st.composite
+def chain_states(draw):
+    """(mu, Pz, z) in chain coordinates, n = 1..6; Pz solves diag(w) Pz + Pz diag(w) = Q > 0, so the norm is unique."""
+    n, mu = draw(st.integers(1, 6)), draw(degrees)
+    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
+    L = rng.normal(size=(n, n))
+    w = weights(n, mu)
+    Pz = (L @ L.T + np.eye(n)) / (w[:, None] + w)
+    return mu, Pz, rng.normal(size=n) * 10.0 ** draw(st.floats(-5, 3))
+
+
+def norm(Pz, z, mu, guess=1.0):
+    return hom.homogeneous_norm(hom.norm_polynomial(Pz.tolist(), z.tolist()), mu, guess)
+
+
+def dilated(z, mu, s):
+    return np.exp(s * weights(len(z), mu)) * z
+
+
+@examples
+@given(chain_states())
+def test_norm_is_the_root_found_by_brent(state):
+    mu, Pz, z = state
+
+    def logarithm_of_n(sigma):
+        y = dilated(z, mu, -sigma)
+        return log(y @ Pz @ y)
+
+    root = exp(brentq(logarithm_of_n, -40.0, 40.0, xtol=1e-300, rtol=4 * ulp(1.0)))
+    assert norm(Pz, z, mu) == pytest.approx(root, rel=1e-12)
+
+
+@examples
+@given(chain_states(), st.floats(-5, 5))
+def test_norm_is_homogeneous_of_degree_one(state, s):
+    mu, Pz, z = state
+    assert norm(Pz, dilated(z, mu, s), mu) == pytest.approx(exp(s) * norm(Pz, z, mu), rel=1e-12)
+
+
+@examples
+@given(chain_states(), st.floats(-27, 27))
+def test_warm_start_does_not_change_the_norm(state, sigma):
+    mu, Pz, z = state
+    assert norm(Pz, z, mu, guess=exp(sigma)) == pytest.approx(norm(Pz, z, mu), rel=1e-13)
+
+
+@pytest.mark.parametrize("guess", [0.0, -1.0, inf, nan])
+def test_useless_guess_is_ignored(guess):
+    c = hom.norm_polynomial(np.eye(4).tolist(), [0.1, -0.2, 0.3, 0.4])
+    assert hom.homogeneous_norm(c, 1.0, guess) == hom.homogeneous_norm(c, 1.0)
+
+
+def test_norm_of_zero_and_of_states_that_are_not_numbers():
+    assert norm(np.eye(4), np.zeros(4), 1.0) == 0.0
+    for bad in (nan, inf, -inf):
+        for i in range(4):
+            with np.errstate(invalid="ignore"):
+                assert isnan(norm(np.eye(4), np.where(np.arange(4) == i, bad, 1.0), 1.0))
+
+
+@pytest.mark.parametrize("mu", [0.01, 0.5, 1.0])
+@pytest.mark.parametrize("n", range(1, 7))
+def test_polynomial_equals_the_norm_by_the_matrix_exponential(n, mu):
+    """||d(-ln r) x||_P^2 with d(s) = expm(G_d s), in the coordinates of a random system."""
+    rng = np.random.default_rng([n, 1])
+    A, b = rng.normal(size=(n, n)), rng.normal(size=n)
+    L = rng.normal(size=(n, n))
+    P, x = L @ L.T + np.eye(n), rng.normal(size=n)
+    Phi = chain_form(A, b).Phi
+    c = hom.norm_polynomial(hom.to_chain(Phi.tolist(), P.tolist()), hom.product(Phi.tolist(), x.tolist()))
+    assert len(c) == 2 * n - 1
+    assert sum(c) == pytest.approx(x @ P @ x, rel=1e-9)
+    for r in (0.3, 0.9, 1.0, 2.5):
+        y = expm(-generator(Phi, mu) * log(r)) @ x
+        assert hom.squared_norm(c, mu, r) == pytest.approx(y @ P @ y, rel=1e-8)
+
+
+def test_norm_of_the_papers_system_solves_eq_12(designs):
+    """Random states of the pendulum in its own coordinates, where Phi spans eleven decades."""
+    for mu, design in designs.items():
+        G, Pz = generator(design.Phi, mu), hom.to_chain(design.Phi.tolist(), design.P.tolist())
+        for x in np.random.default_rng(5).normal(size=(30, 4)) * [0.3, 0.1, 1.0, 1.0]:
+            r = norm(np.array(Pz), design.Phi @ x, mu)
+            y = expm(-G * log(r)) @ x
+            assert y @ design.P @ y == pytest.approx(1.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("n", range(1, 8))
+def test_elimination_solves_linear_systems(n):
+    rng = np.random.default_rng(n)
+    M, B = rng.normal(size=(n, n)), rng.normal(size=(n, 2))
+    M[0, 0] = 0.0 if n > 1 else 1.0  # needs a row exchange
+    np.testing.assert_allclose(hom.solve(M.tolist(), B.tolist()), np.linalg.solve(M, B), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("M", [[[0.0]], [[1.0, 2.0], [2.0, 4.0]], [[1.0, nan], [nan, 1.0]]])
+def test_singular_matrix_is_refused(M):
+    with pytest.raises(ValueError, match="Phi must be regular"):
+        hom.solve(M, [[1.0]] * len(M))
+
+
+# Algorithm 1
+
+
+def clip(value, low, high):
+    return min(high, max(low, value))
+
+
+@st.composite
+def searches(draw):
+    """(c, mu, norm, starting interval, a_min, b_max, j_max): bounds on either side of the norm, or both beyond it."""
+    mu, Pz, z = draw(chain_states())
+    c = hom.norm_polynomial(Pz.tolist(), z.tolist())
+    r = hom.homogeneous_norm(c, mu)
+    a_min = r * 2.0 ** draw(st.floats(-8, 4))
+    b_max = a_min * 2.0 ** draw(st.floats(0, 8))
+    low, high = sorted(clip(a_min * 2.0 ** draw(st.floats(0, 8)), a_min, b_max) for _ in range(2))
+    return c, mu, r, (low, high), a_min, b_max, draw(st.integers(1, 6))
+
+
+@examples
+@given(searches())
+def test_estimate_converges_to_the_norm_within_its_bounds(search):
+    c, mu, r, interval, a_min, b_max, j_max = search
+    until_bracketed = ceil(log2(b_max / a_min)) + 2
+    for _ in range(until_bracketed + ceil(44 / j_max)):
+        interval = hom.bisection_update(c, mu, interval, a_min, b_max, j_max)
+        assert a_min <= interval[0] <= interval[1] <= b_max
+    assert interval[1] == pytest.approx(clip(r, a_min, b_max), rel=1e-9)
+
+
+@examples
+@given(chain_states(), st.integers(1, 8))
+def test_bracket_contracts_by_two_to_the_j_max_and_keeps_the_norm(state, j_max):
+    mu, Pz, z = state
+    c = hom.norm_polynomial(Pz.tolist(), z.tolist())
+    r = hom.homogeneous_norm(c, mu)
+    a, b = 0.7 * r, 1.9 * r
+    low, high = hom.bisection_update(c, mu, (a, b), a, b, j_max)
+    assert high - low == pytest.approx((b - a) * 2.0**-j_max, rel=1e-9)
+    assert low * (1 - 1e-12) <= r <= high * (1 + 1e-12)
+
+
+@examples
+@given(chain_states(), st.integers(1, 8))
+def test_bounds_of_one_give_exactly_one(state, j_max):
+    """With a_min = b_max = 1 the controller is the linear one, section IV-A."""
+    mu, Pz, z = state
+    c, interval = hom.norm_polynomial(Pz.tolist(), z.tolist()), (1.0, 1.0)
+    for _ in range(5):
+        interval = hom.bisection_update(c, mu, interval, 1.0, 1.0, j_max)
+        assert interval == (1.0, 1.0)
+
+
+def printed_algorithm_1(c, mu, interval, a_min, b_max, j_max):
+    """Lines 1 to 12 as printed."""
+    a, b = interval
+    if hom.squared_norm(c, mu, b) > 1.0:
+        a, b = b, min(2.0 * b, b_max)
+    elif hom.squared_norm(c, mu, b) < 1.0:
+        a = b
+        a = max(a / 2.0, a_min)
+    else:
+        for _ in range(j_max):
+            middle = (a + b) / 2.0
+            a, b = (a, middle) if hom.squared_norm(c, mu, middle) < 1.0 else (middle, b)
+    return a, b
+
+
+def test_algorithm_as_printed_stays_linear_inside_the_unit_ball():
+    mu, a_min, b_max = 1.0, 0.05, 1.0
+    z = dilated(np.array([0.5, 0.5, 0.5, 0.5]), mu, log(0.2))  # norm 0.2 for P = I
+    c = hom.norm_polynomial(np.eye(4).tolist(), z.tolist())
+    printed = ours = (a_min, b_max)
+    for _ in range(20):
+        printed = printed_algorithm_1(c, mu, printed, a_min, b_max, 3)
+        ours = hom.bisection_update(c, mu, ours, a_min, b_max, 3)
+    assert printed[1] == b_max
+    assert ours[1] == pytest.approx(0.2, rel=1e-9)
