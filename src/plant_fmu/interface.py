@@ -78,7 +78,14 @@ INTERFACE = Interface(
         _parameter(
             "measurement_delay", 0.0, "s", "age of the measured angles, a multiple of the communication step", min=0.0
         ),
-        _parameter("solver_step", 5e-4, "s", "longest internal Runge-Kutta step", min=1e-7, max=0.1),
+        _parameter(
+            "solver_step",
+            5e-4,
+            "s",
+            "longest internal Runge-Kutta step; with inductance also at most L_m/(2 R_m)",
+            min=1e-7,
+            max=0.1,
+        ),
     ),
     step_size=1e-3,
     stop_time=1.0,

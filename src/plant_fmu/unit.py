@@ -17,8 +17,8 @@ from .integrator import rk4_step, substeps
 from .interface import MOTOR_MODELS
 from .parameters import QubeParameters
 
-RK4_STABILITY = 2.78
-"""The classical Runge-Kutta method is stable on x' = -x/T for steps up to 2.785 T."""
+STEPS_PER_TIME_CONSTANT = 2
+"""Runge-Kutta steps within the motor's time constant L_m/R_m, at least; one step of 2.8 time constants is unstable."""
 
 Measurement = tuple[float, float]
 
@@ -43,7 +43,11 @@ class QubePlant:
         self.x: dynamics.State = (*start, 0.0) if self.inductance else start
         self.applied_voltage = 0.0
         self.random_state: int = values["noise_seed"]
+        self.longest_step = self.solver_step
+        if self.inductance:
+            self.longest_step = min(self.solver_step, physical.L_m / physical.R_m / STEPS_PER_TIME_CONSTANT)
         self.delay_steps = 0
+        self.delayed_step = 0.0  # communication step that the delay is counted in [s]
         self.delay_line: deque[Measurement] = deque([self._measure()])
 
     def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
@@ -53,17 +57,20 @@ class QubePlant:
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
         """Advance from `time` by `step` [s] with `inputs` (voltage, disturbance_voltage, pendulum_torque) held.
 
-        Returns messages for the log (none). Raises ValueError for a step that cannot work and ArithmeticError where the
-        state stops being finite.
+        Returns messages for the log (none). Raises ValueError for a step that cannot work or inputs that are not finite,
+        and ArithmeticError where the state stops being finite; the unit is then as it was.
         """
         voltage, disturbance, tau_p = inputs
+        if not math.isfinite(voltage + disturbance + tau_p):
+            raise ValueError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = {inputs}")
         limit = self.voltage_limit
-        self.applied_voltage = min(limit, max(-limit, voltage + disturbance))
-        count = substeps(step, self.solver_step)
+        applied = min(limit, max(-limit, voltage + disturbance))
+        count = substeps(step, self.longest_step)
         h = step / count
-        self._check_step(step, h)
+        if self.delay:
+            self._count_delay(step)
         derivative = dynamics.derivative_inductance if self.inductance else dynamics.derivative_static
-        f = partial(derivative, self.coefficients, voltage=self.applied_voltage, tau_p=tau_p)
+        f = partial(derivative, self.coefficients, voltage=applied, tau_p=tau_p)
         x = self.x
         try:
             for _ in range(count):
@@ -73,7 +80,7 @@ class QubePlant:
             finite = False
         if not finite:
             raise ArithmeticError(f"the state left the range of numbers, x = {self.x} before the step")
-        self.x = x
+        self.x, self.applied_voltage = x, applied
         self.delay_line.append(self._measure())
         while len(self.delay_line) > self.delay_steps + 1:
             self.delay_line.popleft()
@@ -102,6 +109,7 @@ class QubePlant:
             "applied_voltage": self.applied_voltage,
             "random_state": self.random_state,
             "delay_steps": self.delay_steps,
+            "delayed_step": self.delayed_step,
             "delay_line": [list(pair) for pair in self.delay_line],
         }
 
@@ -111,17 +119,18 @@ class QubePlant:
         self.applied_voltage = state["applied_voltage"]
         self.random_state = state["random_state"]
         self.delay_steps = state["delay_steps"]
+        self.delayed_step = state["delayed_step"]
         self.delay_line = deque((pair[0], pair[1]) for pair in state["delay_line"])
 
-    def _check_step(self, step: float, h: float) -> None:
-        if self.delay:
-            self.delay_steps = sensors.delay_in_steps(self.delay, step)
-        time_constant = self.coefficients.L_m / self.coefficients.R_m
-        if self.inductance and h > RK4_STABILITY * time_constant:
+    def _count_delay(self, step: float) -> None:
+        """Take the delay as a number of communication steps, which may then not change any more."""
+        if self.delayed_step and abs(step - self.delayed_step) > 1e-6 * step:
             raise ValueError(
-                f"solver_step must not exceed {RK4_STABILITY * time_constant:.3g} s, {RK4_STABILITY} times the motor's "
-                f"time constant L_m/R_m, for motor_model inductance, found an internal step of {h:.3g} s"
+                f"the communication step must stay the same with a measurement_delay, found {step:g} s after "
+                f"{self.delayed_step:g} s"
             )
+        self.delay_steps = sensors.delay_in_steps(self.delay, step)
+        self.delayed_step = step
 
     def _measure(self) -> Measurement:
         return self._measure_angle(self.x[0], self.offsets[0]), self._measure_angle(self.x[1], self.offsets[1])

@@ -19,6 +19,10 @@ from fmpy import extract, instantiate_fmu, read_model_description
 NAMES = ("QubeServo2", "IhcController")
 HERE = Path(__file__).parent
 
+BEFORE = "import json, os, sys\ndata = json.loads(sys.stdin.readline())\n"
+# PythonFMU's wrapper destroys a static object twice when its process ends, now and then fatally: leave without that.
+AFTER = "\nprint(json.dumps(result), flush=True)\nos._exit(0)\n"
+
 
 class Host:
     """One FMU instance; `log` collects (status, category, message)."""
@@ -142,14 +146,15 @@ def run_python():
     """Run a script in a fresh interpreter, `data` in its `data`, and return what it left in its `result`."""
 
     def run(script, data=None, *, options=(), environment=None, cwd=None):
-        program = f"import json, sys\ndata = json.loads(sys.stdin.readline())\n{script}\nprint(json.dumps(result))\n"
-        path = os.pathsep.join(filter(None, [(environment or {}).get("PYTHONPATH"), str(HERE)]))
+        program = BEFORE + script + AFTER
+        own = {**os.environ, **(environment or {})}
+        own["PYTHONPATH"] = os.pathsep.join(filter(None, [own.get("PYTHONPATH"), str(HERE)]))
         done = subprocess.run(
             [sys.executable, *options, "-c", program],
             input=json.dumps(data) + "\n",
             capture_output=True,
             text=True,
-            env={**os.environ, **(environment or {}), "PYTHONPATH": path},
+            env=own,
             cwd=cwd,
             check=False,
         )

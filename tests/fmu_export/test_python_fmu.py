@@ -407,7 +407,8 @@ def test_script_that_runs_the_hosts_code_is_refused(name, folders, run_python, t
 
 
 def fmpy_command(*arguments):
-    done = subprocess.run([sys.executable, "-m", "fmpy", *map(str, arguments)], capture_output=True, text=True)
+    command = [sys.executable, "-m", "fmpy", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 

@@ -138,7 +138,7 @@ def test_start_values_are_those_of_the_table_with_checked_changes():
 
 
 def test_unknown_start_value_suggests_the_names_that_are_close():
-    with pytest.raises(ValueError, match="IhcController has no parameter or input named 'a_mim'.*did you mean a_min"):
+    with pytest.raises(ValueError, match=r"IhcController has no parameter or input named 'a_mim'.*did you mean a_min"):
         CONTROLLER.start_values({"a_mim": 0.5})
     with pytest.raises(ValueError, match=r"named 'xyzzy'$"):
         CONTROLLER.start_values({"xyzzy": 0.5})

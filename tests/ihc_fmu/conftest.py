@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 from ihc_fmu import interface
+from ihc_fmu.companion import weights
 from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN, Options, inverse_design
+from ihc_fmu.homogeneity import homogeneous_norm, norm_polynomial, to_chain
+from ihc_fmu.laws import implicit_homogeneous
 from ihc_fmu.start_values import controller_start_values, default_design
 from ihc_fmu.unit import IhcControllerUnit
 from plant_fmu import interface as plant_interface
@@ -18,6 +21,71 @@ from plant_fmu.unit import QubePlant
 PLANT_OUTPUTS = [v.name for v in plant_interface.INTERFACE.of("output")]
 CONTROLLER_OUTPUTS = [v.name for v in interface.INTERFACE.of("output")]
 SEEN_BY_CONTROLLER = [PLANT_OUTPUTS.index(n) for n in ("theta_encoder", "delta_encoder", "theta_dot", "delta_dot")]
+
+
+class IdealLoop:
+    """x' = A x + b (u + d) under the law of a design with its exact norm, not below `a_min`.
+
+    Norms are searched from a guess: 1 on the unit sphere, the last value during a simulation.
+    """
+
+    def __init__(self, design, a_min=0.0):
+        self.design, self.a_min = design, a_min
+        self.Pz = to_chain(design.Phi.tolist(), design.P.tolist())
+
+    def on_the_sphere(self, rng):
+        """Return a random x with x' P x = 1."""
+        direction = rng.normal(size=self.design.n)
+        return np.linalg.solve(np.linalg.cholesky(self.design.P).T, direction / np.linalg.norm(direction))
+
+    def dilated(self, x, r):
+        """Return d(ln r) x, through chain coordinates."""
+        d = self.design
+        return np.linalg.solve(d.Phi, r ** weights(d.n, d.mu) * (d.Phi @ x))
+
+    def norm(self, x, guess=1.0):
+        return homogeneous_norm(norm_polynomial(self.Pz, (self.design.Phi @ x).tolist()), self.design.mu, guess)
+
+    def velocity(self, x, r, disturbance=0.0):
+        """Return x' for the norm r in the law."""
+        d, r = self.design, max(self.a_min, r)
+        return d.A @ x + d.b * (implicit_homogeneous(d.k_lin, d.kz, d.mu, r, x, d.Phi @ x) + disturbance)
+
+    def rate(self, x, r, disturbance=0.0):
+        """Return d||x||_d/dt at x with ||x||_d = r, by a central difference along the motion."""
+        v = self.velocity(x, r, disturbance)
+        step = 1e-5 / np.linalg.norm(np.linalg.cholesky(self.design.P).T @ self.dilated(v, 1 / r))
+        return (self.norm(x + step * v, r) - self.norm(x - step * v, r)) / (2 * step)
+
+    def worst_rates(self, disturbance, count):
+        """Return the larger d||x||_d/dt under +-`disturbance` [V] at random x with norms in [0.1, 10]; mu = 1."""
+        rng, found = np.random.default_rng(11), []
+        for r in 10.0 ** rng.uniform(-1, 1, count):
+            x = self.dilated(self.on_the_sphere(rng), r)
+            found.append(max(self.rate(x, r, disturbance), self.rate(x, r, -disturbance)))
+        return np.array(found)
+
+    def run(self, x, done):
+        """Return the time and state where `done(t, x, ||x||_d)`; the poles scale with r^-mu, and so do the RK4 steps."""
+        t, r = 0.0, self.norm(x)
+        while not done(t, x, r):
+            h = 0.01 * max(self.a_min, r) ** self.design.mu
+            k1 = self.velocity(x, r)
+            y = x + h / 2 * k1
+            k2 = self.velocity(y, self.norm(y, r))
+            y = x + h / 2 * k2
+            k3 = self.velocity(y, self.norm(y, r))
+            y = x + h * k3
+            k4 = self.velocity(y, self.norm(y, r))
+            x, t = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), t + h
+            r = self.norm(x, r)
+            assert t < 20.0
+        return t, x
+
+
+@pytest.fixture(scope="session")
+def ideal_loop():
+    return IdealLoop
 
 
 @pytest.fixture(scope="session")
@@ -35,7 +103,9 @@ def design():
 def designs(paper, design):
     """Designs for the paper's system by mu, with alpha at two thirds of the largest feasible one or more."""
     alphas = {0.25: 0.5, 0.5: 0.35}
-    return {mu: inverse_design(*paper, Options(mu=mu, alpha=alpha)) for mu, alpha in alphas.items()} | {1.0: design}
+    return {mu: inverse_design(*paper, options=Options(mu=mu, alpha=alpha)) for mu, alpha in alphas.items()} | {
+        1.0: design
+    }
 
 
 @pytest.fixture(scope="session")

@@ -5,10 +5,11 @@ from math import log
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import eigh, expm
 
 from ihc_fmu.certificate import (
     CertificateError,
+    certify,
     decrease_matrix,
     norm_of,
     relative_eigenvalues,
@@ -16,106 +17,61 @@ from ihc_fmu.certificate import (
 )
 from ihc_fmu.companion import chain_form, generator
 from ihc_fmu.design import Design
-from ihc_fmu.homogeneity import homogeneous_norm, norm_polynomial, to_chain
-from ihc_fmu.laws import implicit_homogeneous
 
 X_0 = np.array([0.0, 0.1, 0.0, 0.0])
 
 
-class IdealLoop:
-    """x' = A x + b u(x) with the exact norm, its rate of change, and Runge-Kutta steps in proportion to r^mu."""
-
-    def __init__(self, design, a_min=0.0):
-        self.design, self.a_min = design, a_min
-        self.Pz = to_chain(design.Phi.tolist(), design.P.tolist())
-
-    def norm(self, x):
-        return homogeneous_norm(norm_polynomial(self.Pz, (self.design.Phi @ x).tolist()), self.design.mu)
-
-    def velocity(self, x):
-        d, r = self.design, max(self.a_min, self.norm(x))
-        return d.A @ x + d.b * implicit_homogeneous(d.k_lin, d.kz, d.mu, r, x, d.Phi @ x)
-
-    def rate(self, x):
-        """d||x||_d/dt by a central difference along the motion."""
-        v = self.velocity(x)
-        step = 1e-5 / np.sqrt(v @ self.design.P @ v)
-        return (self.norm(x + step * v) - self.norm(x - step * v)) / (2 * step)
-
-    def run(self, x, done):
-        """Return the time and state at which `done` is first met; the poles scale with r^-mu, and so does the step."""
-        t, f = 0.0, self.velocity
-        while not done(x):
-            h = 0.01 * max(self.a_min, self.norm(x)) ** self.design.mu
-            k1 = f(x)
-            k2 = f(x + h / 2 * k1)
-            k3 = f(x + h / 2 * k2)
-            k4 = f(x + h * k3)
-            x, t = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), t + h
-            assert t < 20.0
-        return t, x
-
-
-def on_the_sphere(design, rng):
-    """A random x with x' P x = 1."""
-    direction = rng.normal(size=design.n)
-    return np.linalg.solve(np.linalg.cholesky(design.P).T, direction / np.linalg.norm(direction))
-
-
 @pytest.mark.parametrize("mu", [0.25, 0.5, 1.0])
-def test_norm_decreases_at_the_proven_rate_everywhere(designs, mu):
+def test_norm_decreases_at_the_proven_rate_everywhere(designs, ideal_loop, mu):
     """d||x||_d/dt <= -alpha ||x||_d^(1-mu) at random states over four decades of the norm."""
-    design = designs[mu]
-    loop, rng, G = IdealLoop(design), np.random.default_rng(3), generator(design.Phi, mu)
-    for _ in range(300):
-        y = on_the_sphere(design, rng)
-        assert loop.rate(y) <= -design.alpha * (1 - 1e-6)
-        r = 10.0 ** rng.uniform(-2, 2)
-        x = expm(G * log(r)) @ y
-        assert loop.norm(x) == pytest.approx(r, rel=1e-9)
-        # the motion is homogeneous too: its rate at d(ln r) y is r^(1-mu) times that at y
-        v = expm(-G * log(r)) @ loop.velocity(x) * r**mu
-        np.testing.assert_allclose(v, loop.velocity(y), rtol=1e-6, atol=1e-8 * np.abs(v).max())
+    loop, rng = ideal_loop(designs[mu]), np.random.default_rng(3)
+    for r in 10.0 ** rng.uniform(-2, 2, 200):
+        y = loop.on_the_sphere(rng)
+        x = loop.dilated(y, r)
+        assert loop.norm(x, r) == pytest.approx(r, rel=1e-9)
+        rate = loop.rate(x, r)
+        assert rate <= -designs[mu].alpha * r ** (1 - mu) * (1 - 1e-6)
+        assert rate == pytest.approx(r ** (1 - mu) * loop.rate(y, 1.0), rel=1e-5)  # the motion is homogeneous
 
 
 @pytest.mark.parametrize("mu", [0.25, 0.5, 1.0])
-def test_proven_rate_is_nearly_attained_in_the_worst_direction(designs, mu):
+def test_proven_rate_is_nearly_attained_in_the_worst_direction(designs, ideal_loop, mu):
     """The solver pushes the inequality to its bound, so the test above could not hold with a larger alpha."""
     design = designs[mu]
-    values, vectors = np.linalg.eig(np.linalg.solve(design.P, decrease_matrix(design, design.alpha)))
-    y = vectors[:, np.argmax(values.real)].real
-    y /= np.sqrt(y @ design.P @ y)
-    assert IdealLoop(design).rate(y) == pytest.approx(-design.alpha, rel=1e-3)
+    _, vectors = eigh(decrease_matrix(design, design.alpha), design.P)
+    y = vectors[:, -1]  # of unit length relative to P
+    assert ideal_loop(design).rate(y, 1.0) == pytest.approx(-design.alpha, rel=1e-3)
 
 
 @pytest.mark.parametrize("mu", [0.5, 1.0])
-def test_convergence_is_finite_within_the_certified_time(designs, mu):
+def test_convergence_is_finite_within_the_certified_time(designs, ideal_loop, mu):
     """Four decades of the norm before T = r0^mu/(mu alpha); the linear controller is still far away then."""
     design = designs[mu]
     bound = settling_time_bound(design, X_0)
     assert bound == pytest.approx(norm_of(design, X_0) ** mu / (mu * design.alpha))
-    loop = IdealLoop(design)
-    t, x = loop.run(X_0, lambda x: loop.norm(x) < 1e-4)
+    t, x = ideal_loop(design).run(X_0, lambda t, x, r: r < 1e-4)
     assert t + settling_time_bound(design, x) < bound
+    assert np.hypot(*x[:2]) < 1e-6
     linear = expm((design.A + np.outer(design.b, design.k_lin)) * t) @ X_0
     assert np.hypot(*linear[:2]) > 1e-4
-    assert np.hypot(*x[:2]) < 1e-6
 
 
-def test_pendulum_is_upright_to_a_microradian_when_the_linear_controller_is_not(design):
-    """|q| < 1e-6 for good at 1.72 s with a_min = 1e-3, at 10.6 s with the LC; independently simulated before."""
-    loop = IdealLoop(design, a_min=1e-3)
-    t, x = loop.run(X_0, lambda x: x @ design.P @ x < 1e-13)  # the ellipsoid's |q| is below 1e-6 from here on
-    assert np.hypot(*x[:2]) < 1e-6
-    assert t == pytest.approx(1.72, abs=0.05)
-    closed = design.A + np.outer(design.b, design.k_lin)
-    times = np.arange(0.0, 12.0, 0.02)
-    step, x = expm(closed * 0.02), X_0
-    errors = []
-    for _ in times:
-        errors.append(np.hypot(*x[:2]))
+def test_pendulum_settles_when_independent_simulations_say(design, ideal_loop):
+    """Last times with |q| above 1e-2, 1e-4, 1e-6: 0.89, 1.55, 1.72 s with a_min = 1e-3 (sampled); far later with the LC."""
+    levels = np.array([1e-2, 1e-4, 1e-6])
+    last, slow = np.zeros(3), np.zeros(3)
+
+    def settled(t, x, r):
+        last[np.hypot(x[0], x[1]) > levels] = t
+        return r < 1e-3
+
+    ideal_loop(design, a_min=1e-3).run(X_0, settled)
+    np.testing.assert_allclose(last, [0.89, 1.55, 1.72], rtol=0.04)
+    step, x = expm((design.A + np.outer(design.b, design.k_lin)) * 0.01), X_0
+    for k in range(1300):
+        slow[np.hypot(x[0], x[1]) > levels] = 0.01 * k
         x = step @ x
-    assert times[np.flatnonzero(np.array(errors) > 1e-6)[-1]] == pytest.approx(10.6, abs=0.1)
+    np.testing.assert_allclose(slow, [2.37, 6.48, 10.6], atol=0.03)
 
 
 def test_settling_bound_shrinks_with_the_state_and_is_zero_at_the_origin(design):
@@ -132,7 +88,7 @@ def test_margins_are_the_same_in_all_coordinates(designs, mu):
     inverse = np.linalg.inv(T)
     moved = Design(T @ d.A @ inverse, T @ d.b, d.k_lin @ inverse, inverse.T @ d.P @ inverse, d.mu, d.alpha)
     for name in ("decrease", "monotone", "hurwitz"):
-        assert getattr(moved.certificate, name) == pytest.approx(getattr(d.certificate, name), rel=1e-5)
+        assert getattr(moved.certificate, name) == pytest.approx(getattr(d.certificate, name), rel=1e-3)
     assert moved.certificate.matched_disturbance == pytest.approx(d.certificate.matched_disturbance, rel=1e-3)
 
 
@@ -166,7 +122,10 @@ def test_matched_disturbance_is_claimed_only_at_mu_one(designs):
         (lambda d: {"P": d.P - 1.1 * np.linalg.eigvalsh(d.P)[0] * np.eye(4)}, "P > 0 fails"),
         (lambda d: {"P": -d.P}, "P > 0 fails"),
         (lambda d: {"P": d.P + np.triu(d.P, 1)}, "P must be symmetric"),
-        (lambda d: {"P": np.diag([1.0, 1.0, 1.0, 1.0])}, r"G_d' P \+ P G_d > 0 fails: margin -"),
+        (
+            lambda d: {"P": d.Phi.T @ (np.ones((4, 4)) + 0.01 * np.eye(4)) @ d.Phi},
+            r"G_d' P \+ P G_d > 0 fails: margin -",
+        ),
         (lambda d: {"alpha": 0.21}, r"\+ alpha \(G_d' P \+ P G_d\) <= 0 fails: margin -.* \(1/s relative to P\)"),
         (lambda d: {"k_lin": -d.k_lin}, r"A \+ b k_lin Hurwitz fails: margin -"),
         (lambda d: {"k_lin": 0.99 * d.k_lin}, "<= 0 fails: margin -"),
@@ -185,10 +144,9 @@ def test_proof_for_one_degree_is_none_for_another(designs):
 
 
 def test_dilation_of_another_system_breaks_the_identities(design):
-    """The certificate checks (1) with the given Phi: that of a slightly different A is refused."""
-    other = replace(design)
-    object.__setattr__(other, "Phi", chain_form(1.001 * design.A, design.b).Phi)
-    from ihc_fmu.certificate import certify
-
-    with pytest.raises(CertificateError, match="G_d b = b fail: relative residual|fails: margin"):
+    """Eq. (1) is checked with the Phi that the controller gets: that of an arm with more damping is refused."""
+    other = replace(design, alpha=0.1)
+    damped = design.A - np.diag([0.0, 0.0, 1e-3, 0.0])
+    object.__setattr__(other, "Phi", chain_form(damped, design.b).Phi)
+    with pytest.raises(CertificateError, match=r"= -mu A_0 and G_d b = b fail: relative residual .*, allowed 1e-08"):
         certify(other)

@@ -87,7 +87,7 @@ def test_identities_of_the_dilation_hold(n, mu):
     A, b = random_system(n)
     form = chain_form(A, b)
     G = generator(form.Phi, mu)
-    scale = np.linalg.norm(form.A_0) * np.linalg.norm(G)
+    scale = float(np.linalg.norm(form.A_0) * np.linalg.norm(G))
     np.testing.assert_allclose(form.A_0 @ G - G @ form.A_0, -mu * form.A_0, atol=1e-12 * scale)
     np.testing.assert_allclose(G @ b, b, atol=1e-12 * scale)
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(G).real), 1 + mu * np.arange(n), rtol=1e-7)

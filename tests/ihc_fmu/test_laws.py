@@ -1,6 +1,7 @@
 """The control laws: the LC as a special case, eq. (8), the authors' numbers, degree of homogeneity, sliding motion."""
 
 from math import exp, log
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,14 +20,15 @@ class Law:
     """A random system with a stabilizing gain (poles -1, -2, ...) and everything that the laws take."""
 
     def __init__(self, n, seed=0):
-        rng = np.random.default_rng([n, seed])
+        rng: Any = np.random.default_rng([n, seed])
         self.A, self.b = rng.normal(size=(n, n)), rng.normal(size=n)
         form = chain_form(self.A, self.b)
-        self.Phi, self.row = form.Phi, form.row
-        self.kz = -np.poly(-np.arange(1.0, n + 1))[:0:-1]
+        self.Phi: Any = form.Phi
+        self.row = form.row
+        self.kz: Any = -np.poly(-np.arange(1.0, n + 1))[:0:-1]
         self.k = self.kz @ self.Phi
         self.k_lin = self.k - self.row
-        self.row_z = np.linalg.solve(self.Phi.T, self.row)
+        self.row_z: Any = np.linalg.solve(self.Phi.T, self.row)
         self.x = rng.normal(size=n)
         self.z = self.Phi @ self.x
 
@@ -100,9 +102,10 @@ def test_law_is_eq_8_with_the_matrix_exponential(n, mu):
 @pytest.mark.parametrize("name", ["hcs_demo", "paper_printed"])
 def test_norm_and_controls_are_those_of_the_authors_toolbox(hcs_cases, name):
     case = hcs_cases[name]
-    k_lin = np.array(case["Klin"])
+    k_lin: Any = np.array(case["Klin"])
     form = chain_form(case["A"], case["B"])
-    kz, row_z = np.linalg.solve(form.Phi.T, k_lin + form.row), np.linalg.solve(form.Phi.T, form.row)
+    kz: Any = np.linalg.solve(form.Phi.T, k_lin + form.row)
+    row_z: Any = np.linalg.solve(form.Phi.T, form.row)
     Pz = homogeneity.to_chain(form.Phi.tolist(), case["P"])
     assert len(case["vectors"]) == 100
     for v in case["vectors"]:
@@ -152,7 +155,7 @@ def test_sliding_variable_follows_its_reaching_law(paper):
     """s' = c (A x + b u) = -kappa s - rho sign(s) for any state of the paper's model."""
     A, b, _ = paper
     kappa, rho = 20.0, 1.0
-    smc = fitted_smc(A, b)
+    smc: Any = fitted_smc(A, b)
     for x in np.random.default_rng(2).normal(size=(20, 4)):
         s = smc.c @ x
         derivative = smc.c @ (A @ x + b * laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x))
@@ -162,7 +165,7 @@ def test_sliding_variable_follows_its_reaching_law(paper):
 def test_sliding_variable_reaches_zero_when_its_reaching_law_says():
     """s(t) = (s_0 + rho/kappa) e^(-kappa t) - rho/kappa ends at t = ln(1 + kappa s_0/rho)/kappa: a double integrator."""
     kappa, rho, h = 2.0, 1.5, 1e-5
-    smc = sliding_mode_design(np.eye(2, k=1), np.array([0.0, 1.0]), np.array([-1.0]), kappa, rho)
+    smc: Any = sliding_mode_design(np.eye(2, k=1), np.array([0.0, 1.0]), np.array([-1.0]), kappa, rho)
     position, velocity, t = 1.0, 0.0, 0.0
     s_0 = smc.c @ [position, velocity]
     while smc.c @ [position, velocity] > 0.0:

@@ -19,7 +19,7 @@ def test_sliding_motion_has_the_prescribed_poles_and_the_surface_is_normalized(n
     smc = sliding_mode_design(A, b, poles, kappa=9.0, rho=0.5)
     assert smc.c @ b == pytest.approx(1.0, rel=1e-9)
     closed = A + np.outer(b, smc.k_eq)
-    np.testing.assert_allclose(sorted_poles(closed), np.sort_complex([*poles, -9.0]), rtol=1e-6)
+    np.testing.assert_allclose(sorted_poles(closed), np.sort_complex(np.append(poles, -9.0)), rtol=1e-6)
     np.testing.assert_allclose(smc.c @ closed, -9.0 * smc.c, rtol=1e-6, atol=1e-9)
     assert smc.rho == 0.5
 
@@ -56,7 +56,7 @@ def test_linear_part_of_the_second_variant_is_the_manufacturers_controller(paper
 )
 def test_impossible_surface_is_refused(paper, poles, kappa, rho, message):
     with pytest.raises(ValueError, match=message):
-        sliding_mode_design(*paper[:2], np.array(poles), kappa, rho)
+        sliding_mode_design(*paper[:2], poles=np.array(poles), kappa=kappa, rho=rho)
 
 
 def test_loop_without_a_real_pole_has_no_reaching_rate():

@@ -1,6 +1,7 @@
 """The declared variables against the dataclass of parameters, and the named sets as start values."""
 
 from dataclasses import fields
+from math import pi
 
 import pytest
 
@@ -19,6 +20,13 @@ def test_every_physical_constant_is_a_fixed_parameter_with_its_unit_and_descript
 
 def test_default_plant_is_the_set_ident():
     assert INTERFACE.start_values() == INTERFACE.start_values(start_values("ident"))
+
+
+def test_defaults_are_the_device_at_rest_with_its_recommended_voltage():
+    values = INTERFACE.start_values()
+    expected = {"voltage_limit": 10.0, "encoder_counts": 2048, "back_emf": True, "motor_model": 1, "noise_std": 0.0}
+    expected |= {"theta_0": 0.0, "delta_0": pi, "theta_dot_0": 0.0, "delta_dot_0": 0.0, "measurement_delay": 0.0}
+    assert {name: values[name] for name in expected} == expected
 
 
 @pytest.mark.parametrize("name", PARAMETER_SETS)

@@ -1,6 +1,6 @@
 """Encoder, noise and delay: bounds of the quantizer, published random numbers, the normal distribution."""
 
-from math import isfinite, pi
+from math import cos, isfinite, log, pi, sqrt
 
 import numpy as np
 import pytest
@@ -80,6 +80,13 @@ def test_random_bits_are_the_published_splitmix64_sequence():
         4593380528125082431,
         16408922859458223821,
     ]
+
+
+def test_gaussian_number_is_box_muller_of_two_published_draws():
+    u, v = ((bits >> 11) / 2**53 for bits in (6457827717110365317, 3203168211198807973))
+    state, number = next_gaussian(1234567)
+    assert number == pytest.approx(sqrt(-2 * log(u)) * cos(2 * pi * v), rel=1e-12)
+    assert next_random(state)[1] == 9817491932198370423
 
 
 def test_gaussian_numbers_are_standard_normal_and_uncorrelated():

@@ -1,0 +1,92 @@
+"""Write the tables of the documentation that are derived from the code: variables.md, and the entries of scenarios."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from cosim.scenario import Scenario
+from fmu_export.variables import Interface, Variable
+from ihc_fmu.interface import INTERFACE as CONTROLLER
+from ihc_fmu.start_values import controller_start_values, default_design
+from plant_fmu.interface import INTERFACE as PLANT
+from plant_fmu.interface import start_values as plant_start_values
+
+DOCS = Path(__file__).parent
+START, END = "<!-- scenario entries: made by docs/make_tables.py -->\n", "<!-- end -->"
+
+
+def variables() -> str:
+    """Return variables.md: every variable of both FMUs as exported by default."""
+    parts = [
+        "# Variables of the FMUs\n\nMade by `docs/make_tables.py`; start values as `qube-ihc export` writes them.\n"
+    ]
+    starts = ((PLANT, plant_start_values("ident")), (CONTROLLER, controller_start_values(default_design())))
+    for interface, changes in starts:
+        parts.append(f"## `{interface.name}`\n\n{interface.description}.\n")
+        parts.append(_table(interface, interface.start_values(changes)))
+    return "\n".join(parts)
+
+
+def _table(interface: Interface, start: dict[str, Any]) -> str:
+    lines = ["| name | causality | unit | start | limits | description |", "|---|---|---|---|---|---|"]
+    for v in interface.variables:
+        kind = v.variability if v.causality == "parameter" else v.causality
+        lines.append(f"| `{v.name}` | {kind} | {v.unit} | {_start(v, start)} | {_limits(v)} | {v.description} |")
+    return "\n".join(lines) + "\n"
+
+
+def _start(v: Variable, start: dict[str, Any]) -> str:
+    if v.name not in start:
+        return ""
+    value = start[v.name]
+    if v.items:
+        return v.items[int(value) - 1]
+    return str(value).lower() if isinstance(value, bool) else f"{value:.5g}"
+
+
+def _limits(v: Variable) -> str:
+    if v.items:
+        return ", ".join(v.items)
+    if v.min is None and v.max is None:
+        return ""
+    return f"{'' if v.min is None else f'{v.min:g}'} ... {'' if v.max is None else f'{v.max:g}'}".strip()
+
+
+def scenario_entries() -> str:
+    """Return the table of a scenario's entries."""
+    lines = ["| entry | default | meaning |", "|---|---|---|"]
+    for name, section in Scenario.model_fields.items():
+        model = section.annotation
+        if isinstance(model, type) and issubclass(model, BaseModel):
+            for entry, field in model.model_fields.items():
+                default = {} if field.default_factory else field.default
+                text = "none" if default is None else str(default)
+                lines.append(f"| `{name}.{entry}` | {text} | {field.description} |")
+    return "\n".join(lines) + "\n"
+
+
+def rendered() -> dict[Path, str]:
+    """Return each file's whole text, as it should be."""
+    page = (DOCS / "cosimulation.md").read_text(encoding="utf-8")
+    head, rest = page.split(START)
+    tail = rest.split(END, 1)[1]
+    return {
+        DOCS / "variables.md": variables(),
+        DOCS / "cosimulation.md": f"{head}{START}\n{scenario_entries()}\n{END}{tail}",
+    }
+
+
+def main() -> int:
+    """Write the files."""
+    for path, text in rendered().items():
+        path.write_text(text, encoding="utf-8")
+        print(path.name)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
