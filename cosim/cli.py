@@ -17,6 +17,8 @@ from rich.table import Table
 
 from .errors import UserError
 
+SCENARIOS = Path(__file__).parent / "scenarios"
+
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
@@ -37,6 +39,8 @@ app = typer.Typer(
 )
 console = Console()
 problems = Console(stderr=True, soft_wrap=True, highlight=False)
+
+SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
 
 FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
 SetOption = Annotated[
@@ -269,12 +273,14 @@ def _assignments(items: list[str] | None) -> list[tuple[str, Any]]:
 @app.command()
 def run(
     scenario: Annotated[
-        str, typer.Argument(help="TOML file, or a built-in name: disturbed, swing_up, tilt, tilt_ideal.")
+        str, typer.Argument(help=SCENARIO_HELP)
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="CSV file to write; none: `results/NAME.csv`.")
     ] = None,
-    fmus: FmusOption = Path("fmus"),
+    fmus: SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
+
+FmusOption = Path("fmus"),
     change: SetOption = None,
     plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
 ) -> None:
@@ -336,7 +342,7 @@ def _warn_of_messages(result: Result) -> None:
 @app.command()
 def compare(
     scenario: Annotated[
-        str, typer.Argument(help="TOML file, or a built-in name: disturbed, swing_up, tilt, tilt_ideal.")
+        str, typer.Argument(help=SCENARIO_HELP)
     ],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
     draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
@@ -344,7 +350,9 @@ def compare(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
     ] = Path("results"),
-    fmus: FmusOption = Path("fmus"),
+    fmus: SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
+
+FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
     """Run a scenario with each law and draw, print the medians as a table, write results and pictures."""
@@ -416,9 +424,11 @@ def _progress() -> Progress:
 
 @app.command()
 def demo(
-    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 5,
+    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 3,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
-    fmus: FmusOption = Path("fmus"),
+    fmus: SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
+
+FmusOption = Path("fmus"),
 ) -> None:
     """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare. Under a minute."""
     from ihc_fmu.start_values import default_design
@@ -440,7 +450,7 @@ def demo(
         "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
     )
     studies = []
-    for name in ("swing_up", "tilt", "tilt_ideal"):
+    for name in ("swing_up", "tilt", "tilt_kalman", "tilt_ideal"):
         chosen, folder = load_scenario(name)
         seeds = () if chosen.plant.measurement == "ideal" else range(1, draws + 1)
         studies.append(Study(chosen, folder, seeds))

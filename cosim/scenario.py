@@ -67,7 +67,7 @@ class PlantSection(_Section):
         "ident", description=f"named set: {', '.join(PARAMETER_SETS)}; none: the FMU's start values"
     )
     measurement: Literal["encoders", "ideal"] = Field(
-        "encoders", description="encoders: counts, and velocities from the controller's filter; ideal: the true state"
+        "encoders", description="encoders: counted angles; ideal: the true state, velocities included"
     )
     start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the plant FMU by name")
 
@@ -201,19 +201,21 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
         plant_start |= plant_start_values(scenario.plant.parameters)
     if scenario.run.seed is not None:
         plant_start |= random_measurement(scenario.run.seed)
+    controller_fmu = _find(scenario.controller.fmu, fmus, folder)
     controller_start: dict[str, StartValue] = {"sample_time": scenario.run.step}
     if scenario.controller.design is not None:
         controller_start |= _design_values((folder or Path()) / scenario.controller.design)
     if scenario.plant.measurement == "ideal":
         controller_start["velocity_source"] = "input"
+    controller_start |= scenario.controller.start
+    if controller_start.get("velocity_source") == "kalman":
+        controller_start = _kalman_values(controller_fmu, controller_start) | controller_start
     signals = []
     if scenario.disturbance.sines and scenario.disturbance.gain:
         signals.append(Signal(f"plant.{scenario.disturbance.input}", scenario.disturbance.value))
     return System(
         components=(
-            Component(
-                "controller", _find(scenario.controller.fmu, fmus, folder), controller_start | scenario.controller.start
-            ),
+            Component("controller", controller_fmu, controller_start),
             Component("plant", _find(scenario.plant.fmu, fmus, folder), plant_start | scenario.plant.start),
         ),
         wires=WIRES[scenario.plant.measurement],
@@ -255,6 +257,17 @@ def _design_values(path: Path) -> dict[str, StartValue]:
     if not path.is_file():
         raise UserError(f"design file {path} does not exist")
     return dict(design_values(Design.load(path)))
+
+
+def _kalman_values(fmu: Path, start: Mapping[str, StartValue]) -> dict[str, StartValue]:
+    """Return the Kalman filter's gain for the sample time and the nominal model, the FMU's where `start` has no other."""
+    from ihc_fmu.start_values import kalman_values  # noqa: PLC0415 - heavy
+
+    from .fmu import describe  # noqa: PLC0415
+
+    variables = [v for v in describe(fmu)[1].modelVariables if v.name.startswith("nominal_")]
+    nominal = {v.name: float(start.get(v.name, v.start)) for v in variables}  # type: ignore[arg-type]
+    return dict(kalman_values(nominal, float(start["sample_time"])))
 
 
 def _find(file: str, fmus: Path, folder: Path | None) -> Path:

@@ -17,7 +17,7 @@ STATES = ("theta", "delta", "theta_dot", "delta_dot")
 LAWS = ("LC", "SMC", "IHC")
 NORM_SOLVERS = ("algorithm1", "exact")
 DISCRETIZATIONS = ("explicit", "semi_implicit")
-VELOCITY_SOURCES = ("filter", "input")
+VELOCITY_SOURCES = ("filter", "input", "kalman")
 MODES = ("idle", "swing_up", "stabilizing", "fault")
 FAULTS = ("none", "non_finite_input", "non_finite_control")
 
@@ -54,6 +54,11 @@ def vector(name: str) -> tuple[str, ...]:
 def matrix(name: str) -> tuple[str, ...]:
     """Return the names of a matrix's entries by rows: name_11, name_12, ..., name_44."""
     return tuple(f"{name}_{i}{j}" for i in range(1, ORDER + 1) for j in range(1, ORDER + 1))
+
+
+def kalman_gains() -> tuple[str, ...]:
+    """Return the names of the Kalman filter's gain M (6, 2) by rows: kalman_M_11, kalman_M_12, ..., kalman_M_62."""
+    return tuple(f"kalman_M_{i}{j}" for i in range(1, 7) for j in (1, 2))
 
 
 def upper_triangle(name: str) -> tuple[str, ...]:
@@ -97,6 +102,8 @@ INTERFACE = Interface(
         _output("mode", "what the controller is doing", items=MODES),
         _output("theta_dot_estimate", "velocity of the arm that the law uses", "rad/s"),
         _output("delta_dot_estimate", "velocity of the pendulum that the law uses", "rad/s"),
+        _output("disturbance_estimate", "voltage that the Kalman filter takes the disturbance for", "V"),
+        _output("bias_estimate", "bias of the measured pendulum angle that the Kalman filter found", "rad"),
         _output("fault", "why the controller has stopped; latched until reset", items=FAULTS),
         _choice("law", "IHC", LAWS, "stabilizing law: linear, first-order sliding mode, implicit homogeneous"),
         *_gain_row("k_lin", "gain of the linear controller u = k_lin x"),
@@ -147,6 +154,12 @@ INTERFACE = Interface(
         _tunable("capture_velocity", 6.3, "rad/s", "and slower than this", min=0.0),
         _tunable("fall_back_angle", 0.8, "rad", "beyond this angle the stabilizing law gives up", min=0.0),
         *[_fixed(f"nominal_{name}", 1.0, unit, f"nominal model: {text}", min=0.0) for name, unit, text in _NOMINAL],
+        *[_fixed(name, 0.0, "1", "gain of the Kalman filter, for kalman_sample_time") for name in kalman_gains()],
+        _fixed("kalman_sample_time", 0.0, "s", "sample time that the Kalman filter's gain is for; 0 is none", min=0.0),
+        _fixed("kalman_angle", 0.6, "rad", "beyond it the swing-up observer's gains are used", min=0.0),
+        _tunable(
+            "compensate_disturbance", True, "1", "subtract the Kalman filter's disturbance estimate", type="Boolean"
+        ),
         _fixed("observer_acceleration_noise", 1.0, "rad2/s3", "trust in the nominal model during swing-up", min=1e-12),
         _fixed("observer_resolution", 2 * 3.141592653589793 / 2048, "rad", "resolution of the encoders", min=1e-12),
     ),

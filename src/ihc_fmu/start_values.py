@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
+
+import numpy as np
+
 from fmu_export.variables import Value
 from plant_fmu.dynamics import coefficients
 from plant_fmu.parameters import QubeParameters, parameter_set
 
 from .design import PAPER_A, PAPER_B, PAPER_K_LIN, Design, Options, inverse_design
-from .interface import ORDER, matrix, upper_triangle, vector
+from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
+from .kalman import kalman_gain, linearize
+from .nominal_model import nominal_model
 from .sliding_mode import SlidingMode, fitted_smc
 
 CAPTURE_FRACTION = 0.85
@@ -46,14 +52,26 @@ def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit:
     smc = smc or fitted_smc(design.A, design.b)
     values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho}
     for name, numbers in (("k_lin", design.k_lin), ("row", design.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):
-        values |= zip(vector(name), map(float, numbers), strict=True)
-    values |= zip(matrix("Phi"), map(float, design.Phi.ravel()), strict=True)
-    upper = [float(design.P[i, j]) for i in range(ORDER) for j in range(i, ORDER)]
-    values |= zip(upper_triangle("P"), upper, strict=True)
+        values |= zip_names(vector(name), numbers)
+    values |= zip_names(matrix("Phi"), design.Phi.ravel())
+    values |= zip_names(upper_triangle("P"), design.P[np.triu_indices(ORDER)])
     values["capture_level"] = CAPTURE_FRACTION * (voltage_limit / design.u_max) ** 2
     return values
 
 
+def kalman_values(nominal: Mapping[str, Value], sample_time: float) -> dict[str, Value]:
+    """Return the Kalman filter's gain for the nominal model with the start values `nominal_...` and a sample time [s]."""
+    A, b = linearize(nominal_model(nominal))
+    M = kalman_gain(A, b, sample_time)
+    return {**zip_names(kalman_gains(), M.ravel()), "kalman_sample_time": sample_time}
+
+
+def zip_names(names: Iterable[str], numbers: Iterable[float]) -> dict[str, Value]:
+    """Return the numbers as plain floats by their names."""
+    return {name: float(number) for name, number in zip(names, numbers, strict=True)}
+
+
 def controller_start_values(design: Design, nominal: str = "ident", smc: SlidingMode | None = None) -> dict[str, Value]:
     """Return the start values of the controller FMU for a design and the named parameter set as nominal model."""
-    return design_values(design, smc) | nominal_values(parameter_set(nominal).parameters)
+    model = nominal_values(parameter_set(nominal).parameters)
+    return design_values(design, smc) | model | kalman_values(model, float(INTERFACE.step_size))

@@ -18,6 +18,7 @@ from .interface import (
     ORDER,
     STATES,
     VELOCITY_SOURCES,
+    kalman_gains,
     matrix,
     upper_triangle,
     vector,
@@ -47,6 +48,8 @@ class ControllerState:
     interval: tuple[float, float] = (1.0, 1.0)  # [a, b] of Algorithm 1
     norm: float = 0.0  # homogeneous norm
     norm_used: float = 1.0  # its value in the law
+    disturbance: float = 0.0  # Kalman filter's estimate [V]
+    bias: float = 0.0  # Kalman filter's estimate of the bias of the measured delta [rad]
     theta_dot: float = 0.0  # velocity that the law uses [rad/s]
     delta_dot: float = 0.0
 
@@ -62,7 +65,8 @@ class IhcControllerUnit:
         self.law = LAWS[values["law"] - 1]
         self.exact = NORM_SOLVERS[values["norm_solver"] - 1] == "exact"
         self.semi_implicit = DISCRETIZATIONS[values["discretization"] - 1] == "semi_implicit"
-        self.from_inputs = VELOCITY_SOURCES[values["velocity_source"] - 1] == "input"
+        self.velocity_source = VELOCITY_SOURCES[values["velocity_source"] - 1]
+        self.from_inputs = self.velocity_source == "input"
         self._take_design()
         self.a_min: float = values["a_min"]
         self.b_max: float = values["b_max"]
@@ -86,6 +90,7 @@ class IhcControllerUnit:
                 f"capture_angle must not exceed fall_back_angle, found {self.capture.angle} and "
                 f"{self.capture.fall_back_angle} rad"
             )
+        self._take_kalman_filter()
         self.state = ControllerState(interval=(self.a_min, self.b_max))
         self.checked_step = 0.0
 
@@ -108,6 +113,19 @@ class IhcControllerUnit:
         self.smc_c = [values[name] for name in vector("smc_c")]
         self.smc_k = [values[name] for name in vector("smc_k")]
         self.smc_rho: float = values["smc_rho"]
+
+    def _take_kalman_filter(self) -> None:
+        values = self.values
+        entries = [values[name] for name in kalman_gains()]
+        self.kalman_M = list(zip(entries[::2], entries[1::2], strict=True))
+        self.compensate: bool = values["compensate_disturbance"]
+        self.kalman_angle: float = values["kalman_angle"]
+        gain_time: float = values["kalman_sample_time"]
+        if self.velocity_source == "kalman" and abs(gain_time - self.sample_time) > 1e-9 * self.sample_time:
+            raise ValueError(
+                f"velocity_source kalman needs a gain for the sample_time, found kalman_sample_time = {gain_time:g} s and "
+                f"sample_time = {self.sample_time:g} s"
+            )
 
     def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
         """Start the sample clock at `time` [s]; with finite measurements, start the estimators from rest there."""
@@ -164,6 +182,8 @@ class IhcControllerUnit:
             z, polynomial = self._norm_polynomial(x)
         state.theta_dot, state.delta_dot = x[2], x[3]
         command = self._command(x, z, polynomial)
+        if self.compensate and state.mode == Mode.STABILIZING:
+            command -= state.disturbance  # 0 without the Kalman filter
         if not math.isfinite(command):
             return self._fail(Fault.NON_FINITE_CONTROL, f"u = {command}")
         state.voltage = min(self.limit, max(-self.limit, command))
@@ -172,7 +192,8 @@ class IhcControllerUnit:
     def outputs(self) -> tuple[float, ...]:
         """Return the outputs in the order of the interface."""
         s = self.state
-        return s.voltage, s.norm, s.norm_used, s.mode, s.theta_dot, s.delta_dot, s.fault
+        estimates = s.theta_dot, s.delta_dot, s.disturbance, s.bias
+        return s.voltage, s.norm, s.norm_used, s.mode, *estimates, s.fault
 
     def get_state(self) -> dict[str, Any]:
         """Return everything that changes during a run, as JSON types."""
@@ -216,6 +237,8 @@ class IhcControllerUnit:
         theta = inputs[0]
         if self.from_inputs:
             return [theta, math.remainder(delta, TURN), inputs[2], inputs[3]]
+        if self.velocity_source == "kalman":
+            return self._kalman_estimate(theta, delta)
         theta_dot, state.theta_lag = velocity.filter_velocity(self.cutoff, self.decay, state.theta_lag, theta)
         delta_dot, state.delta_lag = velocity.filter_velocity(self.cutoff, self.decay, state.delta_lag, delta)
         state.theta_dot, state.delta_dot = theta_dot, delta_dot
@@ -225,12 +248,27 @@ class IhcControllerUnit:
         state.observed = velocity.observe(
             self.model, self.gains, state.observed, state.voltage, self.sample_time, theta, delta
         )
-        observed = state.observed
-        return [observed[0], math.remainder(observed[1], TURN), observed[2], observed[3]]
+        return self._observed()
+
+    def _observed(self) -> list[float]:
+        theta, delta, theta_dot, delta_dot = self.state.observed
+        return [theta, math.remainder(delta, TURN), theta_dot, delta_dot]
+
+    def _kalman_estimate(self, theta: float, delta: float) -> list[float]:
+        """Advance the Kalman filter; far from upright, where its linear gain is wrong, the swing-up observer."""
+        state, h = self.state, self.sample_time
+        if abs(math.remainder(delta, TURN)) > self.kalman_angle:
+            state.disturbance = state.bias = 0.0
+            state.observed = velocity.observe(self.model, self.gains, state.observed, state.voltage, h, theta, delta)
+        else:
+            state.observed, state.disturbance, state.bias = velocity.kalman_step(
+                self.model, self.kalman_M, state.observed, state.disturbance, state.bias, state.voltage, h, theta, delta
+            )
+        return self._observed()
 
     def _use_filter(self, inputs: tuple[float, ...], x: list[float]) -> list[float]:
         """Return x for the stabilizing law at capture: measured angles and filtered velocities."""
-        if self.from_inputs:
+        if self.velocity_source != "filter":
             return x
         delta = math.remainder(inputs[1], TURN)
         return [inputs[0], delta, self.state.theta_dot, self.state.delta_dot]

@@ -1,15 +1,19 @@
-"""Velocities from measured angles: the manufacturer's filter, and a model-based observer for the swing-up.
+"""States from measured angles: the manufacturer's velocity filter, an observer for the swing-up, a Kalman filter.
 
 Standard library only: this module travels inside the Python FMU.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import exp, sqrt
 
 from .nominal_model import NominalModel, predict
 
 State = tuple[float, float, float, float]
+
+BIAS_DECAY = 1e-3
+"""Rate [1/s] at which the Kalman filter forgets the bias, which no measurement pins down for ever."""
 
 
 def filter_decay(cutoff: float, h: float) -> float:
@@ -64,3 +68,27 @@ def observe(
         p_theta_dot + beta * e_theta,
         p_delta_dot + beta * e_delta,
     )
+
+
+def kalman_step(
+    model: NominalModel,
+    M: Sequence[Sequence[float]],
+    x: State,
+    disturbance: float,
+    bias: float,
+    voltage: float,
+    h: float,
+    theta: float,
+    delta: float,
+) -> tuple[State, float, float]:
+    """Return the new (x, disturbance [V], bias [rad]) from the last ones and the measured angles.
+
+    The nominal model predicts x under the `voltage` that was applied plus the disturbance, the bias decays; the errors of
+    theta and of delta + bias correct all six by the constant gain M (6, 2) of `kalman.kalman_gain`.
+    """
+    p = predict(model, *x, voltage + disturbance, h)
+    bias *= exp(-BIAS_DECAY * h)
+    e_1, e_2 = theta - p[0], delta - (p[1] + bias)
+    corrections = [row[0] * e_1 + row[1] * e_2 for row in M]
+    corrected = (p[0] + corrections[0], p[1] + corrections[1], p[2] + corrections[2], p[3] + corrections[3])
+    return corrected, disturbance + corrections[4], bias + corrections[5]

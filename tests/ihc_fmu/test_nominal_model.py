@@ -2,6 +2,7 @@
 
 from functools import partial
 from math import log, pi
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def test_inverse_dynamics_gives_the_wanted_arm_acceleration(name):
 def test_prediction_is_the_plants_runge_kutta_step(name):
     for *x, voltage in random_states():
         expected = rk4_step(plant_derivative(name, voltage), tuple(x), 1e-3)
-        assert predict(model(name), *x, voltage, 1e-3) == pytest.approx(expected, rel=1e-13, abs=1e-13)
+        assert predict(model(name), *x, voltage=voltage, h=1e-3) == pytest.approx(expected, rel=1e-13, abs=1e-13)
 
 
 def test_prediction_has_order_four():
@@ -60,7 +61,7 @@ def test_prediction_has_order_four():
     exact = solve_ivp(lambda t, x: f(tuple(x)), (0, duration), x_0, rtol=1e-12, atol=1e-13).y[:, -1]
     errors = []
     for count in (20, 40):
-        x = x_0
+        x: Any = x_0
         for _ in range(count):
             x = predict(model(), *x, voltage=voltage, h=duration / count)
         errors.append(np.linalg.norm(np.array(x) - exact))

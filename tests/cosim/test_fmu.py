@@ -1,0 +1,267 @@
+"""One FMU: what is refused before it runs, start values, messages of the right instance, nothing left behind."""
+
+import math
+import os
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+import fmpy
+import pytest
+
+from cosim.errors import UserError
+from cosim.fmu import FmuError, Instance, as_value, describe
+from fmu_export.python_fmu import export_python_fmu
+
+FMI_3 = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="3.0" modelName="M" instantiationToken="t">
+  <CoSimulation modelIdentifier="M"/>
+  <ModelVariables><Float64 name="time" valueReference="0" causality="independent" variability="continuous"/></ModelVariables>
+  <ModelStructure/>
+</fmiModelDescription>"""
+
+
+@pytest.fixture
+def controller(fmus):
+    return Instance("controller", fmus / "IhcController.fmu")
+
+
+@pytest.fixture
+def running(tiny_fmu):
+    """Start instances of the tiny FMU; all are closed after the test."""
+    made = []
+
+    def start(name, **values):
+        instance = Instance(name, tiny_fmu)
+        made.append(instance)
+        instance.start(instance.checked_start(values), 0.0, 1.0)
+        instance.run()
+        return instance
+
+    yield start
+    for instance in made:
+        instance.close()
+
+
+def a_zip(path, **files):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return path
+
+
+# Files
+
+
+def test_a_missing_fmu_is_named_with_the_command_that_makes_it(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere\.fmu does not exist; `qube-ihc export`"):
+        describe(tmp_path / "nowhere.fmu")
+
+
+def test_what_is_no_fmu_is_refused_by_its_name(tmp_path):
+    (tmp_path / "text.fmu").write_text("no zip", encoding="utf-8")
+    with pytest.raises(UserError, match=r"text\.fmu is not an FMU: it is not a zip file"):
+        describe(tmp_path / "text.fmu")
+    with pytest.raises(UserError, match=r"bare\.fmu is not a valid FMU: .*modelDescription"):
+        describe(a_zip(tmp_path / "bare.fmu", readme="nothing else"))
+    with pytest.raises(UserError, match=r"broken\.fmu is not a valid FMU: "):
+        describe(a_zip(tmp_path / "broken.fmu", **{"modelDescription.xml": "<fmiModelDescription"}))
+    with pytest.raises(UserError, match="is not an FMU"):
+        describe(tmp_path)
+
+
+def test_another_version_of_fmi_is_refused(tmp_path):
+    with pytest.raises(UserError, match=r"third\.fmu must be an FMI 2\.0 co-simulation FMU, found FMI 3\.0"):
+        describe(a_zip(tmp_path / "third.fmu", **{"modelDescription.xml": FMI_3}))
+
+
+def test_a_model_exchange_fmu_is_refused(tiny_fmu, repacked):
+    def exchange(xml):
+        start = xml.index("<CoSimulation")
+        end = xml.index("/>", start) + 2
+        return xml[:start] + '<ModelExchange modelIdentifier="Tiny"/>' + xml[end:]
+
+    with pytest.raises(UserError, match=r"Tiny\.fmu must be an FMI 2\.0 co-simulation FMU"):
+        describe(repacked(tiny_fmu, {"modelDescription.xml": exchange}))
+
+
+def test_an_fmu_is_unpacked_once_until_its_file_changes(tmp_path, tiny_slave):
+    path = export_python_fmu(tiny_slave, tmp_path / "Tiny.fmu", {"gain": 2.0})
+    first = describe(path)
+    assert describe(path.parent / "." / "Tiny.fmu") == first
+    export_python_fmu(tiny_slave, path, {"gain": 3.0})
+    folder, description = describe(path)
+    assert folder != first[0]
+    assert {v.name: v.start for v in description.modelVariables}["gain"] == "3.0"
+
+
+def test_folders_with_spaces_hold_fmus_and_unpacked_ones(tmp_path, monkeypatch, tiny_slave):
+    roomy = tmp_path / "a folder" / "with two  spaces"
+    roomy.mkdir(parents=True)
+    monkeypatch.setattr(tempfile, "tempdir", str(roomy))
+    path = export_python_fmu(tiny_slave, roomy / "T i n y.fmu")
+    instance = Instance("a", path)
+    instance.start({}, 0.0, 1.0)
+    instance.run()
+    instance.stepper()(0.0, 0.1)
+    instance.close()
+    assert Path(describe(path)[0]).parent == roomy
+
+
+# Start values
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("law", "SMC", 2),
+        ("law", 3, 3),
+        ("j_max", 7, 7),
+        ("j_max", 7.0, 7),
+        ("enabled", False, False),
+        ("a_min", 1, 1.0),
+        ("mu", 0.0, 0.0),
+        ("mu", 1.0, 1.0),
+        ("theta", -1e300, -1e300),
+    ],
+)
+def test_start_values_are_brought_into_their_type(controller, name, value, expected):
+    (found,) = controller.checked_start({name: value}).values()
+    assert (type(found), found) == (type(expected), expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "rule"),
+    [
+        ("law", "PID", "law must be one of LC, SMC, IHC, found 'PID'"),
+        ("law", 4, "law must be one of LC, SMC, IHC, found 4"),
+        ("law", 0, "law must be one of LC, SMC, IHC, found 0"),
+        ("law", True, "law must be one of LC, SMC, IHC, found True"),
+        ("j_max", 2.5, "j_max must be an integer, found 2.5"),
+        ("j_max", "three", "j_max must be an integer, found 'three'"),
+        ("j_max", True, "j_max must be an integer, found True"),
+        ("j_max", 0, "j_max must lie in [1, 60]"),
+        ("j_max", 61, "j_max must lie in [1, 60]"),
+        ("enabled", 1, "enabled must be true or false, found 1"),
+        ("enabled", "yes", "enabled must be true or false, found 'yes'"),
+        ("a_min", "small", "a_min must be a number, found 'small'"),
+        ("a_min", False, "a_min must be a number, found False"),
+        ("a_min", 0.0, "a_min must lie in [1e-06, inf]"),
+        ("mu", 1.0000001, "mu must lie in [0, 1]"),
+        ("mu", -1e-9, "mu must lie in [0, 1]"),
+        ("sample_time", 2.0, "sample_time must lie in [1e-06, 1] s, found 2.0"),
+        ("theta", math.nan, "theta must be finite, found nan"),
+        ("a_min", math.inf, "a_min must be finite, found inf"),
+        ("voltage_limit", -math.inf, "voltage_limit must be finite, found -inf"),
+    ],
+)
+def test_start_values_outside_their_rule_are_refused(controller, name, value, rule):
+    with pytest.raises(UserError) as refusal:
+        controller.checked_start({name: value})
+    assert str(refusal.value).startswith(f"controller.{rule}")
+
+
+def test_unknown_names_suggest_known_ones_and_outputs_have_no_start(controller):
+    with pytest.raises(UserError, match="controller has no variable named 'a_mim'; did you mean a_min"):
+        controller.checked_start({"a_mim": 0.5})
+    with pytest.raises(UserError, match=r"controller\.voltage is an output and has no start value"):
+        controller.checked_start({"voltage": 0.0})
+
+
+def test_without_an_instance_a_value_is_refused_by_the_variable_alone(controller):
+    with pytest.raises(UserError, match="^mu must lie in"):
+        as_value(controller.variable("mu"), 2.0)
+
+
+def test_start_values_reach_the_fmu(running):
+    instance = running("a", gain=4.0, u=0.5, whole=-3, flag=True)
+    ports = instance.ports(["y", "whole_out", "flag_out"], "Get")
+    instance.stepper()(0.0, 0.1)
+    instance.transfer(ports)
+    assert [port.values[0] for port in ports] == [2.0, -3, 1]
+
+
+# Messages
+
+
+def test_messages_reach_the_instance_that_sent_them(running):
+    """FMPy formats messages by one logger per process; the last instance made must not take them all."""
+    instances = {name: running(name, gain=gain, warn_at=at) for name, gain, at in (("a", 1, 2), ("b", 2, 1), ("c", 3, 0))}
+    steps = {name: instance.stepper() for name, instance in instances.items()}
+    for k in range(2):
+        for name in "cba":
+            steps[name](0.1 * k, 0.1)
+    assert instances["c"].messages == []
+    assert [m for m in instances["a"].messages if m.startswith("warning")] == instances["a"].messages
+    assert ["gain 1" in m and "t = 0.1 s" in m for m in instances["a"].messages] == [True]
+    assert ["gain 2" in m and "t = 0 s" in m for m in instances["b"].messages] == [True]
+
+
+def test_messages_arrive_after_fmpy_has_run_an_fmu_with_a_logger_of_its_own(tiny_fmu, running):
+    strangers = []
+    fmpy.simulate_fmu(
+        str(tiny_fmu), stop_time=0.01, start_values={"warn_at": 1}, debug_logging=True, logger=lambda *m: strangers.append(m)
+    )
+    seen = len(strangers)
+    instance = running("a", warn_at=1)
+    instance.stepper()(0.0, 0.1)
+    assert seen == len(strangers) == 1
+    assert "told to warn" in instance.messages[0]
+
+
+def test_a_failure_names_instance_call_status_and_its_own_cause(running):
+    good, bad = running("good", warn_at=1), running("bad", fail_at=2)
+    step = bad.stepper()
+    step(0.0, 0.1)
+    good.stepper()(0.0, 0.1)
+    with pytest.raises(FmuError, match=r"^bad: doStep\(0\.1, 0\.1\) returned \w+: .*told to fail in call 2$"):
+        step(0.1, 0.1)
+    assert any("Traceback" in message for message in bad.messages)
+    assert not any("fail" in message for message in good.messages)
+    good.stepper()(0.1, 0.1)  # the other instance is not affected
+
+
+def test_the_number_of_messages_kept_is_bounded(running):
+    instance = running("a")
+    instance.messages.extend(["OK: one"] * 200)
+    chatty = running("b", warn_at=1)
+    chatty.messages.extend(["OK: one"] * 200)
+    chatty.stepper()(0.0, 0.1)
+    assert len(chatty.messages) == 200
+
+
+# Nothing left behind
+
+
+def test_instances_leave_search_path_and_working_folder(running):
+    path, folder = list(sys.path), Path.cwd()
+    for name in "abc":
+        running(name).close()
+    assert (sys.path, Path.cwd()) == (path, folder)
+
+
+def test_an_fmu_that_cannot_be_loaded_is_named_and_leaves_nothing(tiny_fmu, repacked):
+    path, folder, logged = list(sys.path), Path.cwd(), os.listdir()
+    instance = Instance("a", repacked(tiny_fmu, {"binaries/": None}))
+    with pytest.raises(FmuError, match=r"^a \(.*changed Tiny\.fmu\): "):
+        instance.start({}, 0.0, 1.0)
+    instance.close()
+    assert (sys.path, Path.cwd(), os.listdir()) == (path, folder, logged)
+
+
+def test_code_changed_after_the_export_does_not_run(tiny_fmu, repacked):
+    with zipfile.ZipFile(tiny_fmu) as archive:
+        (code,) = [name for name in archive.namelist() if name.endswith("tiny/slave.py")]
+    louder = repacked(tiny_fmu, {code: lambda text: text.replace("* inputs[0]", "* inputs[0] + 1.0")})
+    instance = Instance("a", louder)
+    with pytest.raises(FmuError, match="is not the code that was exported"):
+        instance.start({}, 0.0, 1.0)
+    instance.close()
+
+
+def test_closing_twice_and_before_the_start_is_harmless(tiny_fmu, running):
+    Instance("never started", tiny_fmu).close()
+    instance = running("a")
+    instance.close()
+    instance.close()
