@@ -272,15 +272,11 @@ def _assignments(items: list[str] | None) -> list[tuple[str, Any]]:
 
 @app.command()
 def run(
-    scenario: Annotated[
-        str, typer.Argument(help=SCENARIO_HELP)
-    ],
+    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="CSV file to write; none: `results/NAME.csv`.")
     ] = None,
-    fmus: SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
-
-FmusOption = Path("fmus"),
+    fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
     plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
 ) -> None:
@@ -341,18 +337,14 @@ def _warn_of_messages(result: Result) -> None:
 
 @app.command()
 def compare(
-    scenario: Annotated[
-        str, typer.Argument(help=SCENARIO_HELP)
-    ],
+    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
     draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; none: one per core.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
     ] = Path("results"),
-    fmus: SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
-
-FmusOption = Path("fmus"),
+    fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
     """Run a scenario with each law and draw, print the medians as a table, write results and pictures."""
@@ -426,9 +418,7 @@ def _progress() -> Progress:
 def demo(
     draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 3,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
-    fmus: SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
-
-FmusOption = Path("fmus"),
+    fmus: FmusOption = Path("fmus"),
 ) -> None:
     """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare. Under a minute."""
     from ihc_fmu.start_values import default_design
