@@ -61,6 +61,13 @@ class Method(StrEnum):
     direct = "direct"
 
 
+class Smc(StrEnum):
+    """Which sliding mode controller the FMU carries."""
+
+    fitted = "fitted"
+    linear_poles = "linear-poles"
+
+
 def main() -> None:
     """Run the command line; a user's mistake is one sentence and exit code 2, a failed run 1, Ctrl-C 130."""
     from .master import SimulationError
@@ -170,6 +177,7 @@ def _print_design(found: Design) -> None:
     table.add_row("k = k_lin + row", row(found.k))
     table.add_row("P", "\n".join(row(line) for line in found.P))
     table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
+    table.add_row("origin reached from the unit sphere within", f"{1.0 / (found.mu * found.alpha):.4g} s")
     table.add_row("largest |k x| on the unit ball", f"{found.u_max:.6g} V")
     table.add_row("largest states on the unit ball", row(found.extent))
     poles = np.linalg.eigvals(found.A + np.outer(found.b, found.k_lin))
@@ -188,6 +196,10 @@ def export(
         str, typer.Option(help="Parameter set of the plant: matrices, ident, hcs, listed, swapped.")
     ] = "ident",
     nominal: Annotated[str, typer.Option(help="Parameter set of the controller's nominal model.")] = "ident",
+    smc: Annotated[
+        Smc,
+        typer.Option(help="fitted: SMC1, a fit to the paper's Table I; linear-poles: SMC2, its linear part is k_lin."),
+    ] = Smc.fitted,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("fmus"),
     change: Annotated[
         list[str] | None,
@@ -212,7 +224,7 @@ def export(
             raise UserError(f"--set must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
         changes[unit][variable] = value
     found = default_design() if design is None else _load_design(design)
-    for path in _export(found, parameters, nominal, output, changes):
+    for path in _export(found, parameters, nominal, output, changes, smc):
         console.print(f"wrote {path}")
 
 
@@ -225,12 +237,18 @@ def _load_design(path: Path) -> Design:
 
 
 def _export(
-    found: Design, parameters: str, nominal: str, output: Path, changes: dict[str, dict[str, Any]] | None = None
+    found: Design,
+    parameters: str,
+    nominal: str,
+    output: Path,
+    changes: dict[str, dict[str, Any]] | None = None,
+    smc: Smc = Smc.fitted,
 ) -> list[Path]:
     from fmu_export.python_fmu import export_python_fmu
     from fmu_export.ssp import write_ssp
     from ihc_fmu.documentation import notes as controller_notes
     from ihc_fmu.slave import IhcController
+    from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
     from ihc_fmu.start_values import controller_start_values
     from plant_fmu.documentation import notes as plant_notes
     from plant_fmu.interface import start_values as plant_start_values
@@ -239,6 +257,8 @@ def _export(
     from .scenario import WIRES
 
     changes = changes or {"plant": {}, "controller": {}}
+    A, b, k_lin = found.A, found.b, found.k_lin
+    sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
     plant = export_python_fmu(
         QubeServo2,
         output / "QubeServo2.fmu",
@@ -248,7 +268,7 @@ def _export(
     controller = export_python_fmu(
         IhcController,
         output / "IhcController.fmu",
-        controller_start_values(found, nominal) | changes["controller"],
+        controller_start_values(found, nominal, sliding) | changes["controller"],
         controller_notes(found, nominal),
     )
     wires = [(w.source, w.target) for w in WIRES["encoders"]]

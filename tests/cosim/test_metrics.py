@@ -1,0 +1,118 @@
+"""Metrics: closed forms, the definitions at their edges, and what they need."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.errors import UserError
+from cosim.metrics import NAMES, STABILIZING, angle_norm, evaluate, settling_time, wrapped
+from cosim.results import Result
+from ihc_fmu.interface import MODES
+
+TIME = np.arange(10_001) * 1e-3
+
+
+def test_a_decaying_exponential_gives_its_closed_forms(made_result):
+    found = evaluate(made_result(TIME, np.exp(-TIME)), tolerance=0.02, steady=3.0)
+    assert found.settling_time == pytest.approx(math.log(50.0), abs=1e-3)
+    assert found.integral_q2 == pytest.approx((1 - math.exp(-20.0)) / 2, rel=1e-6)
+    assert found.steady_rms == pytest.approx(math.sqrt((math.exp(-14.0) - math.exp(-20.0)) / 6), rel=1e-3)
+
+
+def test_both_angles_count_and_the_pendulum_is_wrapped(made_result):
+    result = made_result(TIME, 0.3, plant_delta=0.4 - 4 * math.pi)
+    assert angle_norm(result) == pytest.approx(0.5)
+    assert evaluate(result).integral_q2 == pytest.approx(0.25 * 10.0)
+    assert evaluate(made_result(TIME, 2 * math.pi)).steady_rms == pytest.approx(2 * math.pi)  # the arm is not wrapped
+
+
+def test_energy_of_held_voltages_is_exact(made_result):
+    """The first row's voltage was never applied; each later one over the step that ended there."""
+    time = np.array([0.0, 0.5, 0.75, 2.0])
+    found = evaluate(made_result(time, controller_voltage=[99.0, 2.0, -4.0, 1.0]), steady=0.1)
+    assert found.energy == 4.0 * 0.5 + 16.0 * 0.25 + 1.0 * 1.25
+    assert found.peak_voltage == 99.0
+    assert evaluate(made_result(TIME, controller_voltage=-2.0)).energy == pytest.approx(40.0, rel=1e-12)
+    assert evaluate(made_result(TIME, controller_voltage=-2.0)).peak_voltage == 2.0
+
+
+@given(st.floats(-50, 50))
+def test_wrapping_keeps_the_angle_and_ends_in_the_interval(angle):
+    found = wrapped(np.array([angle]))[0]
+    assert -math.pi <= found <= math.pi
+    assert math.remainder(found - angle, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_wrapping_takes_the_upper_end_of_the_interval():
+    assert wrapped(np.array([0.0, math.pi, -math.pi, 3 * math.pi])).tolist() == pytest.approx([0.0] + [math.pi] * 3)
+
+
+@pytest.mark.parametrize(
+    ("q", "expected"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], 0.0),
+        ([1.0, 0.0, 0.0, 0.0], 1.0),
+        ([1.0, 0.0, 1.0, 0.0], 3.0),
+        ([1.0, 0.02, 0.02, 0.02], 1.0),  # the tolerance itself is settled
+        ([0.0, 0.0, 0.0, 0.021], math.nan),
+        ([1.0, 1.0, 1.0, 1.0], math.nan),
+    ],
+)
+def test_settling_is_for_good(q, expected):
+    assert settling_time(np.arange(4.0), np.array(q), 0.02) == pytest.approx(expected, nan_ok=True)
+
+
+def test_tolerance_and_steady_state_are_parameters(made_result):
+    result = made_result(TIME, np.where(TIME < 9.0, 0.1, 0.01))
+    assert evaluate(result, tolerance=0.2).settling_time == 0.0
+    assert evaluate(result, tolerance=0.05).settling_time == 9.0
+    assert math.isnan(evaluate(result, tolerance=0.005).settling_time)
+    assert evaluate(result, steady=0.5).steady_rms == pytest.approx(0.01)
+    assert evaluate(result, steady=100.0).steady_rms == pytest.approx(math.sqrt(0.9 * 0.01 + 0.1 * 1e-4), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("modes", "capture_time", "captures"),
+    [
+        ([2, 2, 2, 2, 2, 2], math.nan, 0),
+        ([2, 2, 3, 3, 3, 3], 2.0, 1),
+        ([3, 3, 3, 3, 3, 3], 0.0, 1),
+        ([1, 3, 2, 3, 3, 4], 1.0, 2),
+        ([2, 3, 2, 3, 2, 3], 1.0, 3),
+    ],
+)
+def test_captures_are_counted_and_the_first_is_timed(made_result, modes, capture_time, captures):
+    found = evaluate(made_result(np.arange(6.0), controller_mode=modes))
+    assert (found.capture_time, found.captures) == (pytest.approx(capture_time, nan_ok=True), captures)
+    assert MODES[STABILIZING - 1] == "stabilizing"
+
+
+def test_encoders_stand_in_for_the_true_angles(made_result):
+    result = made_result(TIME)
+    signals = {n: s for n, s in result.signals.items() if not n.startswith("plant")}
+    signals |= {"plant.theta_encoder": np.full(len(TIME), 3.0), "plant.delta_encoder": np.full(len(TIME), -4.0)}
+    measured = angle_norm(Result(TIME, signals, {}, {}))
+    assert measured == pytest.approx(math.hypot(3.0, 2 * math.pi - 4.0))
+
+
+@pytest.mark.parametrize("missing", ["plant.theta", "controller.voltage", "controller.mode"])
+def test_missing_signals_are_named(made_result, missing):
+    result = made_result(TIME)
+    del result.signals[missing]
+    with pytest.raises(UserError, match=missing):
+        evaluate(result)
+
+
+@pytest.mark.parametrize("rows", [0, 1])
+def test_metrics_need_two_rows(made_result, rows):
+    with pytest.raises(UserError, match=f"at least two rows, found {rows}"):
+        evaluate(made_result(np.arange(float(rows))))
+
+
+def test_the_numbers_by_name(made_result):
+    found = evaluate(made_result(TIME, 0.01))
+    assert tuple(found.as_dict()) == NAMES
+    assert found.as_dict()["steady_rms"] == found.steady_rms == pytest.approx(0.01)

@@ -1,0 +1,325 @@
+"""Scenarios: typed and checked contents, what they mean as a system, and reproducible measurements."""
+
+import math
+import shutil
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.errors import UserError
+from cosim.scenario import (
+    WIRES,
+    DisturbanceSection,
+    Scenario,
+    Sine,
+    build_system,
+    built_in_names,
+    load_scenario,
+    random_measurement,
+    run_scenario,
+)
+from fmu_export.python_fmu import export_python_fmu
+from plant_fmu.parameters import PARAMETER_SETS
+
+BUILT_IN = ["disturbed", "swing_up", "tilt", "tilt_ideal"]
+
+FULL = """
+description = "all of it"
+[run]
+step = 2e-3
+duration = 3
+order = "parallel"
+seed = 4
+[plant]
+fmu = "Mine.fmu"
+parameters = "hcs"
+measurement = "ideal"
+start = { delta_0 = 0.2, back_emf = false, encoder_counts = 0, motor_model = "inductance" }
+[controller]
+design = "mine.json"
+start = { law = "LC" }
+[disturbance]
+input = "pendulum_torque"
+gain = 2
+sines = [{ amplitude = 3, frequency = 5.0, phase = 0.5 }]
+[record]
+outputs = ["plant.theta"]
+every = 4
+"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a scenario file and return its name."""
+
+    def write(text, name="mine.toml"):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return str(tmp_path / name)
+
+    return write
+
+
+def start_of(system, name):
+    return dict(next(c.start for c in system.components if c.name == name))
+
+
+# Reading
+
+
+def test_built_in_scenarios_load_and_run(fmus):
+    assert built_in_names() == BUILT_IN
+    for name in BUILT_IN:
+        scenario, folder = load_scenario(name)
+        assert (scenario.name, bool(scenario.description)) == (name, True)
+        result = run_scenario(scenario.changed({"run.duration": 0.01}), fmus, folder)
+        assert result.metadata["complete"]
+        assert result.metadata["scenario"]["name"] == name
+
+
+def test_every_entry_is_read_in_its_type(written, tmp_path):
+    scenario, folder = load_scenario(written(FULL))
+    assert folder == tmp_path
+    assert scenario.model_dump() == {
+        "name": "mine",
+        "description": "all of it",
+        "run": {"step": 2e-3, "duration": 3.0, "order": "parallel", "seed": 4},
+        "plant": {
+            "fmu": "Mine.fmu",
+            "parameters": "hcs",
+            "measurement": "ideal",
+            "start": {"delta_0": 0.2, "back_emf": False, "encoder_counts": 0, "motor_model": "inductance"},
+        },
+        "controller": {"fmu": "IhcController.fmu", "design": "mine.json", "start": {"law": "LC"}},
+        "disturbance": {
+            "input": "pendulum_torque",
+            "gain": 2.0,
+            "sines": ({"amplitude": 3.0, "frequency": 5.0, "phase": 0.5},),
+        },
+        "record": {"outputs": ("plant.theta",), "every": 4},
+    }
+    start = scenario.plant.start
+    assert [type(start[n]) for n in ("delta_0", "back_emf", "encoder_counts")] == [float, bool, int]
+
+
+def test_an_empty_file_is_a_scenario_of_defaults(written):
+    scenario, _ = load_scenario(written(""))
+    assert scenario == Scenario(name="mine")
+    assert (scenario.run.step, scenario.run.duration, scenario.run.order) == (1e-3, 10.0, "controller-first")
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("[run]\nstepp = 1e-3", "there is no entry run.stepp; did you mean step?"),
+        ("[controler]\n", "there is no entry controler; did you mean controller?"),
+        ("[run]\nstep = 'fast'", "run.step must be a valid number, unable to parse string as a number, found 'fast'"),
+        ("[run]\nstep = [1e-3]", "run.step must be a valid number, found [0.001]"),
+        ("[run]\nstep = 0", "run.step must be greater than 0, found 0"),
+        ("[run]\nstep = -1e-3", "run.step must be greater than 0, found -0.001"),
+        ("[run]\nduration = inf", "run.duration must be a finite number, found inf"),
+        ("[run]\nduration = nan", "run.duration must be a finite number, found nan"),
+        ("[run]\nseed = -1", "run.seed must be greater than or equal to 0, found -1"),
+        ("[run]\nseed = 1.5", "run.seed must be a valid integer"),
+        ("[run]\nseed = 2147483648", "run.seed must be less than 2147483648, found 2147483648"),
+        ("[run]\norder = 'plant-first'", "run.order must be 'controller-first' or 'parallel', found 'plant-first'"),
+        ("run = 3", "run must be a valid dictionary"),
+        ("[plant]\nparameters = 'idnt'", "plant.parameters must be one of matrices, ident, hcs, listed, swapped, found"),
+        ("[plant]\nmeasurement = 'none'", "plant.measurement must be 'encoders' or 'ideal', found 'none'"),
+        ("[plant]\nstart = 3", "plant.start must be a valid dictionary, found 3"),
+        ("[disturbance]\ninput = 'voltage'", "disturbance.input must be 'disturbance_voltage' or 'pendulum_torque'"),
+        ("[disturbance]\ngain = inf", "disturbance.gain must be a finite number, found inf"),
+        ("[disturbance]\nsines = [{ amplitude = 1 }]", "disturbance.sines.0.frequency is required"),
+        ("[disturbance]\nsines = [{ amplitude = 1, frequency = nan }]", "disturbance.sines.0.frequency must be a finite"),
+        ("[record]\nevery = 0", "record.every must be greater than or equal to 1, found 0"),
+        ("[record]\noutputs = 'plant.theta'", "record.outputs must be a valid tuple, found 'plant.theta'"),
+    ],
+)
+def test_a_wrong_entry_is_one_sentence_with_file_entry_rule_and_value(written, text, problem):
+    with pytest.raises(UserError) as refusal:
+        load_scenario(written(text))
+    sentence = str(refusal.value)
+    assert f"mine.toml: {problem}" in sentence
+    assert "\n" not in sentence
+
+
+@pytest.mark.parametrize("text", ["[run]\nstep = 3e-3\nduration = 1", "[run]\nduration = 1e-4"])
+def test_a_duration_that_is_no_multiple_of_the_step_is_refused(written, text):
+    with pytest.raises(UserError, match="duration must be a multiple of the step, found .* s and 0.00[13] s"):
+        load_scenario(written(text))
+
+
+def test_what_is_no_toml_is_refused_with_the_place(written, tmp_path):
+    with pytest.raises(UserError, match=r"mine\.toml is not TOML: .*line 2"):
+        load_scenario(written("[run]\nstep = \n"))
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UserError, match=r"bytes\.toml is not TOML"):
+        load_scenario(str(tmp_path / "bytes.toml"))
+
+
+def test_a_missing_scenario_is_named_with_those_there_are(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=r"scenario file mine\.toml does not exist"):
+        load_scenario("mine.toml")
+    with pytest.raises(UserError, match=rf"built-in scenario 'tlit'; built in: {', '.join(BUILT_IN)}"):
+        load_scenario("tlit")
+    with pytest.raises(UserError, match="does not exist"):
+        load_scenario(str(tmp_path))
+
+
+def test_a_file_goes_before_the_built_in_scenario_of_its_name(tmp_path, monkeypatch, written):
+    monkeypatch.chdir(tmp_path)
+    written('description = "mine"', "tilt")
+    assert load_scenario("tilt")[0].description == "mine"
+    assert load_scenario("swing_up")[0].name == "swing_up"
+
+
+# Changing
+
+
+def test_changes_replace_only_what_they_name():
+    scenario, _ = load_scenario("tilt")
+    changes = {"run.seed": 9, "plant.parameters": None, "controller.start.law": "LC", "plant.start.delta_0": 0.3}
+    changed = scenario.changed(changes)
+    assert (changed.run.seed, changed.plant.parameters) == (9, None)
+    assert (changed.controller.start, changed.plant.start) == ({"law": "LC"}, {"delta_0": 0.3})
+    undone = {"run.seed": 1, "plant.parameters": "ident", "controller.start": {}, "plant.start.delta_0": 0.1}
+    assert changed.changed(undone) == scenario == load_scenario("tilt")[0]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "problem"),
+    [
+        ("run.durration", 1.0, "there is no entry run.durration; did you mean duration?"),
+        ("rum.step", 1.0, "the scenario has no entry 'rum.step'; did you mean run?"),
+        ("controller.strt.law", "LC", "the scenario has no entry 'controller.strt.law'; did you mean start?"),
+        ("run.step.size", 1.0, "the scenario has no entry 'run.step.size'"),
+        ("controller.start.law.x", 1, "the scenario has no entry 'controller.start.law.x'"),
+        ("stepp", 1.0, "there is no entry stepp"),
+        ("run.step", -1.0, "run.step must be greater than 0, found -1.0"),
+        ("run.step", math.nan, "run.step must be a finite number, found nan"),
+        ("run.duration", 0.0105, "duration must be a multiple of the step, found 0.0105 s and 0.001 s"),
+        ("plant.parameters", "mine", "plant.parameters must be one of matrices"),
+        ("controller.start", 3, "controller.start must be a valid dictionary, found 3"),
+    ],
+)
+def test_a_change_is_checked_as_the_file_is(path, value, problem):
+    scenario, _ = load_scenario("tilt")
+    with pytest.raises(UserError) as refusal:
+        scenario.changed({path: value})
+    assert problem in str(refusal.value)
+
+
+# Meaning
+
+
+def test_a_scenario_becomes_components_wires_and_start_values(fmus):
+    scenario, folder = load_scenario("tilt")
+    system = build_system(scenario.changed({"run.step": 2e-3, "controller.start.a_min": 0.7}), fmus, folder)
+    assert [(c.name, c.path) for c in system.components] == [
+        ("controller", fmus / "IhcController.fmu"),
+        ("plant", fmus / "QubeServo2.fmu"),
+    ]
+    assert start_of(system, "controller") == {"sample_time": 2e-3, "a_min": 0.7}
+    assert (tuple(system.wires), tuple(system.signals)) == (WIRES["encoders"], ())
+
+
+@pytest.mark.parametrize("name", PARAMETER_SETS)
+def test_parameter_sets_become_start_values_of_the_plant(fmus, name):
+    scenario = Scenario().changed({"plant.parameters": name, "plant.start.m_p": 0.03})
+    start = start_of(build_system(scenario, fmus), "plant")
+    chosen = PARAMETER_SETS[name]
+    assert (start["D_r"], start["J_r"], start["back_emf"]) == (
+        chosen.parameters.D_r,
+        chosen.parameters.J_r,
+        chosen.back_emf,
+    )
+    assert start["m_p"] == 0.03  # what the scenario says goes before the set
+    assert start_of(build_system(Scenario().changed({"plant.parameters": None}), fmus), "plant") == {}
+
+
+def test_ideal_measurement_wires_the_true_state(fmus):
+    scenario = Scenario().changed({"plant.measurement": "ideal", "run.duration": 0.01, "plant.start.theta_dot_0": 0.5})
+    system = build_system(scenario, fmus)
+    assert start_of(system, "controller")["velocity_source"] == "input"
+    ends = {(w.source, w.target) for w in system.wires}
+    states = ("theta", "delta", "theta_dot", "delta_dot")
+    assert ends == {(f"plant.{s}", f"controller.{s}") for s in states} | {("controller.voltage", "plant.voltage")}
+    result = run_scenario(scenario, fmus)
+    seen, true = result["controller.theta_dot_estimate"], result["plant.theta_dot"]
+    assert seen[1:].tolist() == true[:-1].tolist()  # sampled at the start of the step
+
+
+def test_a_seed_draws_the_measurement(fmus):
+    draws = [random_measurement(seed) for seed in range(50)]
+    assert draws == [random_measurement(seed) for seed in range(50)]
+    offsets = np.array([[d["theta_encoder_offset"], d["delta_encoder_offset"]] for d in draws])
+    assert len(np.unique(offsets)) == 100
+    assert ((offsets >= 0.0) & (offsets < 1.0)).all()
+    assert abs(offsets.mean() - 0.5) < 4 * math.sqrt(1 / 12 / 100)
+    seeded = start_of(build_system(Scenario().changed({"run.seed": 7}), fmus), "plant")
+    assert {n: seeded[n] for n in draws[7]} == draws[7]
+    assert not draws[7].keys() & start_of(build_system(Scenario(), fmus), "plant").keys()
+
+
+def test_seeds_give_reproducible_and_different_measurements(fmus):
+    def measured(seed):
+        short = {"run.duration": 0.02, "plant.start.noise_std": 1e-3, "run.seed": seed}
+        return run_scenario(load_scenario("tilt")[0].changed(short), fmus)["plant.theta_encoder"].tolist()
+
+    assert measured(1) == measured(1) != measured(2)
+
+
+def test_a_design_file_is_found_beside_the_scenario(fmus, design, design_file, written, tmp_path):
+    design_file("mine.json", P=(design.P * 4.0).tolist())
+    scenario, folder = load_scenario(written('[controller]\ndesign = "mine.json"\nstart = { mu = 0.5 }'))
+    start = start_of(build_system(scenario, fmus, folder), "controller")
+    assert (start["P_12"], start["k_lin_2"], start["mu"]) == (design.P[0, 1] * 4.0, design.k_lin[1], 0.5)
+    with pytest.raises(UserError, match=r"design file .*mine\.json does not exist"):
+        build_system(scenario, fmus, tmp_path / "elsewhere")
+
+
+def test_an_fmu_beside_the_scenario_goes_before_the_folder(fmus, tmp_path):
+    shutil.copy(fmus / "QubeServo2.fmu", tmp_path)
+    paths = {c.name: c.path for c in build_system(Scenario(), fmus, tmp_path).components}
+    assert paths == {"plant": tmp_path / "QubeServo2.fmu", "controller": fmus / "IhcController.fmu"}
+    paths = {c.name: c.path for c in build_system(Scenario(), fmus).components}
+    assert paths["plant"] == fmus / "QubeServo2.fmu"
+
+
+def test_another_fmu_takes_the_plants_place(fmus, tiny_slave, tmp_path):
+    export_python_fmu(tiny_slave, tmp_path / "Mine.fmu")
+    changes = {"plant.fmu": "Mine.fmu", "plant.parameters": None, "run.duration": 0.01}
+    with pytest.raises(UserError, match="plant has no variable named 'theta_encoder'"):
+        run_scenario(Scenario().changed(changes), fmus, tmp_path)
+
+
+# Disturbance
+
+
+@given(
+    gain=st.floats(-100, 100),
+    sines=st.lists(st.tuples(*[st.floats(-10, 10)] * 3), max_size=3),
+    time=st.floats(0, 100),
+)
+def test_the_disturbance_is_a_gain_times_a_sum_of_sines(gain, sines, time):
+    terms = tuple(Sine(amplitude=a, frequency=f, phase=p) for a, f, p in sines)
+    found = DisturbanceSection(gain=gain, sines=terms).value(time)
+    assert found == pytest.approx(gain * sum(a * math.sin(f * time + p) for a, f, p in sines), abs=1e-9)
+
+
+def test_the_disturbance_acts_on_the_plants_input(fmus):
+    """At rest hanging down with the controller off, a constant disturbance is all there is: i = d/R_m."""
+    changes = {
+        "run.duration": 1e-3,
+        "controller.start.enabled": False,
+        "disturbance.sines": [{"amplitude": 0.5, "frequency": 0.0, "phase": math.pi / 2}],
+        "disturbance.gain": 3.0,
+    }
+    result = run_scenario(Scenario().changed(changes), fmus)
+    applied = 8.4 * result["plant.current"][-1] + 0.042 * result["plant.theta_dot"][-1]
+    assert applied == pytest.approx(1.5, rel=1e-12)
+    turned = run_scenario(Scenario().changed({**changes, "disturbance.input": "pendulum_torque"}), fmus)
+    assert turned["plant.delta"][-1] != math.pi
+    assert build_system(Scenario().changed({**changes, "disturbance.gain": 0.0}), fmus).signals == []
