@@ -1,0 +1,262 @@
+"""The command line, each command in a process of its own: help, one whole chain, refusals, failures."""
+
+import csv
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from cosim.metrics import evaluate
+from cosim.results import Result
+from ihc_fmu.design import Design
+
+OPTIONS = {
+    "design": ["--system", "--method", "--mu", "--alpha", "--u-max", "--delta-max", "--beta", "--psi", "--d-max", "-o"],
+    "export": ["--design", "--parameters", "--nominal", "--output", "-o", "--set"],
+    "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot"],
+    "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set"],
+    "demo": ["--draws", "--output", "-o", "--fmus"],
+}
+SHORT = ("--set", "run.duration=0.3")
+
+
+def qube_ihc(*args, cwd):
+    """Run the command line; return its finished process, with plain text in stdout and stderr."""
+    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
+    plain.pop("FORCE_COLOR", None)
+    return subprocess.run(
+        [sys.executable, "-m", "cosim", *args],
+        cwd=cwd,
+        env=plain,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def accepted(*args, cwd):
+    done = qube_ihc(*args, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.strip() == ""
+    return done.stdout
+
+
+def refused(*args, cwd, code=2):
+    """Return the one sentence that the command says before it ends with `code`."""
+    done = qube_ihc(*args, cwd=cwd)
+    lines = done.stderr.strip().splitlines()
+    assert (done.returncode, len(lines)) == (code, 1), done.stderr
+    assert lines[0].startswith("error: ")
+    return lines[0].removeprefix("error: ")
+
+
+def files(folder):
+    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+
+
+# Help
+
+
+@pytest.mark.parametrize("command", OPTIONS)
+def test_help_names_every_option(tmp_path, command):
+    text = accepted(command, "--help", cwd=tmp_path)
+    missing = [option for option in OPTIONS[command] if not re.search(rf"(?<![\w-]){option}\b", text)]
+    assert missing == []
+    assert files(tmp_path) == []
+
+
+def test_without_arguments_there_is_help(tmp_path):
+    shown = qube_ihc(cwd=tmp_path)
+    text = accepted("-h", cwd=tmp_path)
+    assert shown.returncode in (0, 2)
+    for command in OPTIONS:
+        assert re.search(rf"\b{command}\b", shown.stdout + shown.stderr)
+        assert re.search(rf"\b{command}\b", text)
+
+
+# The chain
+
+
+def test_design_export_run_compare(tmp_path):
+    said = accepted("design", "--mu", "0.5", "--alpha", "0.3", "--u-max", "3", "-o", "my design.json", cwd=tmp_path)
+    assert re.search(r"largest feasible alpha for this k_lin and mu: 0\.43\d* 1/s", said)
+    design = Design.load(tmp_path / "my design.json")
+    assert (design.mu, design.alpha, design.u_max) == (0.5, 0.3, pytest.approx(3.0, rel=1e-4))
+
+    said = accepted("export", "--design", "my design.json", "--set", "controller.a_min=0.7", cwd=tmp_path)
+    fmus = ["fmus/IhcController.fmu", "fmus/QubeServo2.fmu", "fmus/QubeWithController.ssp"]
+    assert files(tmp_path / "fmus") == [name.removeprefix("fmus/") for name in fmus]
+    assert all(f"wrote {name}" in said for name in fmus)
+
+    said = accepted("run", "tilt", *SHORT, "--set", "run.seed=7", cwd=tmp_path)
+    assert files(tmp_path / "results") == ["tilt.csv", "tilt.json", "tilt.png"]
+    result = Result.load(tmp_path / "results" / "tilt.csv")
+    assert (len(result.time), result.metadata["complete"], result.metadata["messages"]) == (301, True, {})
+    assert result.metadata["scenario"]["run"]["seed"] == 7
+    assert result["controller.homogeneous_norm_used"].min() >= 0.7
+    for name, value in evaluate(result).as_dict().items():
+        expected = "never" if math.isnan(value) else f"{value:.4g}"
+        assert re.search(rf"^  {name} +{re.escape(expected)} ", said, re.MULTILINE), name
+
+    options = ("--draws", "1", "--laws", "IHC, LC", "--workers", "1", "-o", "compared")
+    said = accepted("compare", "tilt", *SHORT, *options, cwd=tmp_path)
+    pictures = ["angles.png", "homogeneous_norm.png", "norm.png", "voltage.png"]
+    tables = ["IHC.csv", "IHC.json", "LC.csv", "LC.json", "comparison.csv", "comparison.json"]
+    assert files(tmp_path / "compared" / "tilt") == sorted([*tables, *pictures])
+    rows = list(csv.DictReader((tmp_path / "compared" / "tilt" / "comparison.csv").open(encoding="utf-8")))
+    assert [(row["law"], row["seed"]) for row in rows] == [("IHC", "1"), ("LC", "1")]
+    for row in rows:
+        assert re.search(rf"│ {row['law']} +│ +never │ +{float(row['integral_q2']):.4g} │", said)
+
+
+def test_a_run_is_the_same_again_and_knows_where_to_write(elsewhere):
+    for name in ("first", "second"):
+        accepted("run", "tilt_ideal", *SHORT, "--no-plot", "-o", f"new folder/{name}.csv", cwd=elsewhere)
+    folder = elsewhere / "new folder"
+    assert files(folder) == ["first.csv", "first.json", "second.csv", "second.json"]
+    for suffix in (".csv", ".json"):
+        assert (folder / f"first{suffix}").read_bytes() == (folder / f"second{suffix}").read_bytes()
+
+
+def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewhere, design_file):
+    design_file("mine.json")
+    (elsewhere / "fmus").rename(elsewhere / "other fmus")
+    (elsewhere / "mine.toml").write_text('[run]\nduration = 0.01\n[controller]\ndesign = "mine.json"\n', "utf-8")
+    accepted("run", "mine.toml", "--fmus", "other fmus", "--no-plot", cwd=elsewhere)
+    about = Result.load(elsewhere / "results" / "mine.csv").metadata
+    assert about["start_values"]["controller"]["k_lin_2"] == -30.0
+
+
+# Refusals
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("run", "nowhere.toml"), "scenario file nowhere.toml does not exist"),
+        (("run", "tilt", "--fmus", "nowhere"), "FMU nowhere/IhcController.fmu does not exist; `qube-ihc export`"),
+        (("compare", "tilt", "--fmus", "nowhere"), "FMU nowhere/QubeServo2.fmu does not exist; `qube-ihc export`"),
+        (("run", "tilt", "--set", "run.duration"), "--set takes NAME=VALUE, found 'run.duration'"),
+        (("run", "tilt", "--set", "run.durration=1"), "tilt: there is no entry run.durration; did you mean duration?"),
+        (("run", "tilt", "--set", "run.step=nan"), "tilt: run.step must be a finite number, found nan"),
+        (("run", "tilt", "--set", "run.duration=-1"), "tilt: run.duration must be greater than 0, found -1"),
+        (("run", "tilt", "--set", "plant.start.delta_0=nan"), "plant.delta_0 must be finite, found nan"),
+        (("run", "tilt", "--set", "plant.start.m_p=-1"), "plant.m_p must lie in [0, inf] kg, found -1"),
+        (
+            ("run", "tilt", "--set", "controller.start.lwa=LC"),
+            "controller has no variable named 'lwa'; did you mean law",
+        ),
+        (
+            ("run", "tilt", "--set", "controller.start.law=PID"),
+            "controller.law must be one of LC, SMC, IHC, found 'PID'",
+        ),
+        (("compare", "tilt", "--laws", "LC,LC"), "--laws must be different ones of LC, SMC, IHC, found 'LC,LC'"),
+        (("export", "--design", "nowhere.json"), "design file nowhere.json does not exist"),
+        (("export", "--set", "a_min=1"), "--set must name plant.VARIABLE or controller.VARIABLE, found 'a_min'"),
+        (("export", "--set", "plant.delta_0=inf"), "delta_0 must be finite, found inf"),
+        (("design", "--system", "nowhere.toml"), "system file nowhere.toml does not exist"),
+        (("design", "--mu", "nan"), "mu must lie in (0, 1], found nan"),
+        (("design", "--alpha", "-1"), "alpha must be positive and finite [1/s], found -1.0"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
+)
+def test_a_mistake_is_one_sentence(fmus, tmp_path, arguments, sentence):
+    if arguments[0] in ("run", "compare") and "--fmus" not in arguments:
+        arguments = (*arguments, "--fmus", str(fmus))
+    assert refused(*arguments, cwd=tmp_path).startswith(sentence)
+    assert files(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "arguments", [("run", "tilt", "--durration", "1"), ("compare", "tilt", "--draws", "-1"), ("walk",)]
+)
+def test_a_wrong_flag_ends_with_code_2(tmp_path, arguments):
+    done = qube_ihc(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert arguments[-2 if len(arguments) > 1 else -1] in done.stderr
+    assert "Traceback" not in done.stderr
+    assert files(tmp_path) == []
+
+
+def test_an_infeasible_alpha_names_the_largest_feasible_one(tmp_path):
+    said = refused("design", "--mu", "0.5", "--alpha", "0.6", cwd=tmp_path)
+    found = re.search(r"alpha = 0\.6 1/s, mu = 0\.5.* the largest feasible alpha is ([\d.]+) 1/s$", said)
+    assert found
+    assert float(found.group(1)) == pytest.approx(0.437, abs=1e-3)
+    assert files(tmp_path) == []
+
+
+def test_a_gain_that_does_not_stabilize_is_refused_with_its_pole(tmp_path):
+    system = "A = [[0, 1], [1, 0]]\nb = [0, 1]\nk_lin = [0, -1]\n"
+    (tmp_path / "mine.toml").write_text(system, "utf-8")
+    assert "k_lin must stabilize (A, b): the largest real part" in refused(
+        "design", "--system", "mine.toml", cwd=tmp_path
+    )
+    (tmp_path / "mine.toml").write_text(system.replace("k_lin", "gain"), "utf-8")
+    said = refused("design", "--system", "mine.toml", cwd=tmp_path)
+    assert said.startswith("mine.toml must have A, b and k_lin; missing: ['k_lin'], unknown: ['gain']")
+
+
+@pytest.mark.parametrize("case", ["NaN", "tampered", "not JSON"])
+def test_a_design_that_proves_nothing_is_not_exported(tmp_path, design, design_file, case):
+    P = design.P.tolist()
+    if case == "NaN":
+        P[0][0] = math.nan
+    path = design_file(P=P if case == "NaN" else (-design.P).tolist())
+    if case == "not JSON":
+        path.write_text("{", "utf-8")
+    said = refused("export", "--design", "design.json", cwd=tmp_path)
+    assert said.startswith("design.json: ")
+    assert {"NaN": "P must be finite", "tampered": "P", "not JSON": "not JSON"}[case] in said
+    assert files(tmp_path) == ["design.json"]
+
+
+def test_a_design_whose_proof_is_stretched_is_not_exported(tmp_path, design, design_file):
+    assert design.alpha == 0.2
+    design_file(alpha=2.0)
+    assert refused("export", "--design", "design.json", cwd=tmp_path).startswith("design.json: ")
+    assert json.loads((tmp_path / "design.json").read_text("utf-8"))["alpha"] == 2.0
+    assert files(tmp_path) == ["design.json"]
+
+
+# Failures
+
+
+def test_a_run_that_fails_ends_with_code_1_and_leaves_its_rows(elsewhere):
+    """A bearing so stiff that the solver's step is unstable: the state leaves the range of numbers."""
+    done = qube_ihc("run", "tilt", "--set", "plant.start.D_r=1", "-o", "failed.csv", cwd=elsewhere)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    last, result = done.stderr.strip().splitlines()[-1], Result.load(elsewhere / "failed.csv")
+    assert re.match(r"error: at t = [\d.e-]+ s: plant: doStep\(", last)
+    assert f"{len(result.time)} rows, to failed.csv" in done.stdout + done.stderr
+    assert 2 <= len(result.time) < 100
+    assert result.metadata["complete"] is False
+    assert "Traceback" in "".join(result.metadata["messages"]["plant"])
+    assert not (elsewhere / "failed.png").exists()
+
+
+def test_a_failed_run_without_rows_leaves_nothing(elsewhere):
+    before = files(elsewhere)
+    said = refused("run", "tilt", *SHORT, "--set", "controller.start.a_min=2", cwd=elsewhere, code=1)
+    assert "controller: " in said
+    assert said.endswith("a_min must not exceed b_max, found a_min = 2.0 and b_max = 1.0")
+    assert files(elsewhere) == before
+
+
+def test_what_an_fmu_reports_is_shown_beside_the_result(elsewhere):
+    """A control beyond the range of numbers is a fault of the controller; the run itself goes on with 0 V."""
+    changes = {"law": "LC", "k_lin_1": 1.7e308, "capture_level": 1e300}
+    flags = [f"--set=controller.start.{name}={value}" for name, value in changes.items()]
+    flags += ["--set=plant.start.theta_0=10", "--set=run.duration=0.01", "--no-plot"]
+    done = qube_ihc("run", "tilt", *flags, cwd=elsewhere)
+    result = Result.load(elsewhere / "results" / "tilt.csv")
+    (message,) = result.metadata["messages"]["controller"]
+    assert "fault non_finite_control" in message
+    assert (done.returncode, done.stderr.strip()) == (0, f"controller: {message}")
+    assert result["controller.mode"].tolist()[1:] == [4] * 10
