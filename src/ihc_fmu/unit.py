@@ -36,7 +36,7 @@ class ControllerState:
 
     start_time: float = 0.0  # [s]
     next_sample: int = 0  # index of the next sample instant
-    primed: bool = False  # whether the estimators have seen a finite measurement
+    primed: bool = False  # whether the estimators have seen a measurement
     mode: int = Mode.IDLE
     fault: int = Fault.NONE
     voltage: float = 0.0  # held since the last sample [V]
@@ -128,11 +128,10 @@ class IhcControllerUnit:
             )
 
     def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
-        """Start the sample clock at `time` [s]; with finite measurements, start the estimators from rest there."""
+        """Start the sample clock at `time` [s]; with finite inputs, compute the norm of the state that they mean."""
         self.state.start_time = time
         if all(map(math.isfinite, inputs)):
-            self._prime(inputs)
-            x = self._estimate(inputs, self.state.observed[1])
+            x = self._first_estimate(inputs)
             self.state.norm = homogeneity.homogeneous_norm(self._norm_polynomial(x)[1], self.mu)
         return []
 
@@ -160,10 +159,7 @@ class IhcControllerUnit:
             return self._fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
         if state.mode == Mode.FAULT:
             return []
-        if not state.primed:
-            self._prime(inputs)
-        delta = self._unwrap(inputs[1])
-        x = self._estimate(inputs, delta)
+        x = self._estimate(inputs, self._unwrap(inputs[1])) if state.primed else self._prime(inputs)
         z, polynomial = self._norm_polynomial(x)
         state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
         earlier = state.mode
@@ -213,14 +209,22 @@ class IhcControllerUnit:
             )
         self.checked_step = step
 
-    def _prime(self, inputs: tuple[float, ...]) -> None:
+    def _first_estimate(self, inputs: tuple[float, ...]) -> list[float]:
+        """Return x from the first measurement: at rest, unless velocities are measured too."""
         theta, delta, theta_dot, delta_dot = inputs
+        velocities = [theta_dot, delta_dot] if self.from_inputs else [0.0, 0.0]
+        return [theta, math.remainder(delta, TURN), *velocities]
+
+    def _prime(self, inputs: tuple[float, ...]) -> list[float]:
+        """Start the estimators from the first measurement, and return x."""
+        x = self._first_estimate(inputs)
         state = self.state
         state.primed = True
-        state.measured_delta = delta
-        state.theta_lag, state.delta_lag = theta, delta
-        velocities = (theta_dot, delta_dot) if self.from_inputs else (0.0, 0.0)
-        state.observed = (theta, delta, *velocities)
+        state.theta_lag, state.delta_lag = inputs[0], inputs[1]
+        state.measured_delta = inputs[1]
+        state.observed = (inputs[0], inputs[1], x[2], x[3])
+        state.theta_dot, state.delta_dot = x[2], x[3]
+        return x
 
     def _unwrap(self, measured: float) -> float:
         """Return the pendulum angle without the jumps by a turn of a sensor that wraps."""

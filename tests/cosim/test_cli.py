@@ -10,13 +10,15 @@ import sys
 
 import pytest
 
+from cosim.fmu import describe
 from cosim.metrics import evaluate
 from cosim.results import Result
 from ihc_fmu.design import Design
+from ihc_fmu.sliding_mode import linear_pole_smc
 
 OPTIONS = {
     "design": ["--system", "--method", "--mu", "--alpha", "--u-max", "--delta-max", "--beta", "--psi", "--d-max", "-o"],
-    "export": ["--design", "--parameters", "--nominal", "--output", "-o", "--set"],
+    "export": ["--design", "--parameters", "--nominal", "--smc", "--output", "-o", "--set"],
     "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot"],
     "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set"],
     "demo": ["--draws", "--output", "-o", "--fmus"],
@@ -88,10 +90,19 @@ def test_design_export_run_compare(tmp_path):
     design = Design.load(tmp_path / "my design.json")
     assert (design.mu, design.alpha, design.u_max) == (0.5, 0.3, pytest.approx(3.0, rel=1e-4))
 
-    said = accepted("export", "--design", "my design.json", "--set", "controller.a_min=0.7", cwd=tmp_path)
+    options = ("--design", "my design.json", "--smc", "linear-poles", "--set", "controller.a_min=0.7")
+    said = accepted("export", *options, cwd=tmp_path)
     fmus = ["fmus/IhcController.fmu", "fmus/QubeServo2.fmu", "fmus/QubeWithController.ssp"]
     assert files(tmp_path / "fmus") == [name.removeprefix("fmus/") for name in fmus]
     assert all(f"wrote {name}" in said for name in fmus)
+    variables = describe(tmp_path / fmus[0])[1].modelVariables
+    sliding = linear_pole_smc(design.A, design.b, design.k_lin)
+    exported = {
+        v.name: float(v.start or "nan") for v in variables if v.name.startswith(("smc_c", "smc_k", "mu", "k_lin"))
+    }
+    assert exported["mu"] == 0.5
+    for name, row in (("smc_c", sliding.c), ("smc_k", sliding.k_eq), ("k_lin", design.k_lin)):
+        assert [exported[f"{name}_{i}"] for i in (1, 2, 3, 4)] == row.tolist()
 
     said = accepted("run", "tilt", *SHORT, "--set", "run.seed=7", cwd=tmp_path)
     assert files(tmp_path / "results") == ["tilt.csv", "tilt.json", "tilt.png"]

@@ -280,6 +280,7 @@ def by_hand(design, order, steps, step, measurement, controller_changes, plant_c
         ("tilt", {"run.seed": 5, "plant.start.noise_std": 1e-4, **DISTURBED}),
         ("swing_up", {"run.duration": 1.3}),
         ("tilt_ideal", {"controller.start.sample_time": 2e-3}),
+        ("tilt_kalman", {"run.step": 2e-3, **DISTURBED}),
     ],
 )
 def test_the_master_adds_nothing_to_a_loop_over_the_units(fmus, design, order, name, changes):

@@ -71,7 +71,7 @@ def test_the_overview_is_a_picture_and_the_same_bytes_again(swing, tmp_path):
 
 
 def test_a_comparison_is_four_pictures_and_the_same_bytes_again(swing, tmp_path):
-    results = dict.fromkeys(("LC", "IHC"), swing)
+    results = {"LC": swing, "IHC": swing}
     paths = save_comparison(results, tmp_path / "one", "title")
     assert [p.name for p in paths] == ["angles.png", "norm.png", "voltage.png", "homogeneous_norm.png"]
     for path in paths:

@@ -21,9 +21,10 @@ from cosim.scenario import (
     run_scenario,
 )
 from fmu_export.python_fmu import export_python_fmu
+from ihc_fmu.start_values import kalman_values, nominal_values
 from plant_fmu.parameters import PARAMETER_SETS
 
-BUILT_IN = ["disturbed", "swing_up", "tilt", "tilt_ideal"]
+BUILT_IN = ["disturbed", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
 
 FULL = """
 description = "all of it"
@@ -257,6 +258,24 @@ def test_ideal_measurement_wires_the_true_state(fmus):
     assert seen[1:].tolist() == true[:-1].tolist()  # sampled at the start of the step
 
 
+def test_the_kalman_gain_follows_sample_time_and_nominal_model(fmus):
+    def gain(**changes):
+        scenario = Scenario().changed({n.replace("__", "."): v for n, v in changes.items()})
+        start = start_of(build_system(scenario, fmus), "controller")
+        return {name: value for name, value in start.items() if name.startswith("kalman")}
+
+    nominal = nominal_values(PARAMETER_SETS["ident"].parameters)
+    kalman = {"controller__start__velocity_source": "kalman"}
+    assert gain() == {}
+    assert gain(**kalman) == pytest.approx(kalman_values(nominal, 1e-3), rel=1e-9)
+    assert gain(**kalman, run__step=2e-3) == pytest.approx(kalman_values(nominal, 2e-3), rel=1e-9)
+    heavier = {"nominal_gravity_torque": 2 * nominal["nominal_gravity_torque"]}
+    found = gain(**kalman, controller__start__nominal_gravity_torque=heavier["nominal_gravity_torque"])
+    assert found == pytest.approx(kalman_values(nominal | heavier, 1e-3), rel=1e-9)
+    name = next(iter(found))
+    assert gain(**kalman, **{f"controller__start__{name}": 0.5})[name] == 0.5
+
+
 def test_a_seed_draws_the_measurement(fmus):
     draws = [random_measurement(seed) for seed in range(50)]
     assert draws == [random_measurement(seed) for seed in range(50)]
@@ -311,7 +330,7 @@ def test_another_fmu_takes_the_plants_place(fmus, tiny_slave, tmp_path):
 )
 def test_the_disturbance_is_a_gain_times_a_sum_of_sines(gain, sines, time):
     terms = tuple(Sine(amplitude=a, frequency=f, phase=p) for a, f, p in sines)
-    found = DisturbanceSection(gain=gain, sines=terms).value(time)
+    found = DisturbanceSection(input="pendulum_torque", gain=gain, sines=terms).value(time)
     assert found == pytest.approx(gain * sum(a * math.sin(f * time + p) for a, f, p in sines), abs=1e-9)
 
 

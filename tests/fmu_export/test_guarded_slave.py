@@ -121,12 +121,6 @@ REFUSALS = {
         HANG.format(0.0, STEP),
         ["left the range of numbers", "unit.py"],
     ),
-    "inductance with a long solver step": (
-        PLANT,
-        "h.initialize(motor_model=2)",
-        HANG.format(0.0, STEP),
-        ["solver_step must not exceed", "L_m/R_m", "0.0005 s"],
-    ),
     "delay between two steps": (
         PLANT,
         "h.initialize(measurement_delay=1.5e-3)",

@@ -214,6 +214,17 @@ def test_law_gives_up_beyond_the_fall_back_angle_and_captures_again_only_inside(
     assert feed(unit, map(still, deltas))[:, OUTPUTS.index("mode")].tolist() == expected
 
 
+def test_observer_takes_over_from_the_filter_when_the_pendulum_falls(controller):
+    """The pendulum leaves upright at 2 rad/s; the velocity estimate does not jump at the fall-back angle."""
+    delta = np.concatenate([np.zeros(300), 2e-3 * np.arange(500)])
+    seen = np.column_stack([np.zeros_like(delta), delta, np.zeros((len(delta), 2))])
+    rows = feed(started(controller(law="LC", k_lin_2=0.0, k_lin_4=0.0), seen[0]), seen)
+    mode, estimate = rows[:, OUTPUTS.index("mode")], rows[:, OUTPUTS.index("delta_dot_estimate")]
+    (fall,) = np.flatnonzero(np.diff(mode))
+    assert (mode[fall], mode[fall + 1]) == (Mode.STABILIZING, Mode.SWING_UP)
+    assert (np.abs(estimate[fall - 5 : fall + 5] - 2.0) < 1.0).all()
+
+
 def test_capture_restarts_the_search_for_the_norm(controller):
     """Algorithm 1 begins at [a_min, b_max] again: after a fall and a capture it does what a new controller does."""
     near, far = (0.02, 0.01, 0.0, 0.0), (0.0, 2.0, 0.0, 0.0)
@@ -328,6 +339,7 @@ def test_state_through_json_continues_to_the_last_bit(controller, recorded, law,
     feed(unit, recorded[:at])
     copy = controller(law=law)
     copy.set_state(json.loads(json.dumps(unit.get_state())))
+    assert copy.get_state() == unit.get_state()
     rest = recorded[at : at + 500]
     np.testing.assert_array_equal(feed(copy, rest, start=at), feed(unit, rest, start=at))
 
