@@ -436,7 +436,7 @@ def _progress() -> Progress:
 
 @app.command()
 def demo(
-    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 3,
+    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 5,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
     fmus: FmusOption = Path("fmus"),
 ) -> None:

@@ -7,7 +7,6 @@ import ctypes
 import math
 import os
 import shutil
-import sys
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
@@ -70,6 +69,10 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
             raise UserError(f"{path} is not an FMU: it is not a zip file")
         folder = tempfile.mkdtemp(prefix="qube-ihc-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        if "%" in Path(folder).as_uri().replace("%20", ""):  # PythonFMU's wrapper cannot read other escapes
+            raise UserError(
+                f"the temporary folder (TMPDIR) must be named in plain letters to hold FMUs, found {folder}"
+            )
         try:
             description = fmpy.read_model_description(str(path))
             fmpy.extract(str(path), unzipdir=folder)
@@ -233,7 +236,7 @@ class Instance:
         self._fmu.fmi2FreeInstance(self._fmu.component)  # the library stays loaded for the next run
 
     def _instantiate(self) -> None:
-        where, path = Path.cwd(), list(sys.path)
+        where = Path.cwd()
         try:
             self._fmu = fmpy.fmi2.FMU2Slave(
                 guid=self.description.guid,
@@ -246,7 +249,6 @@ class Instance:
             raise FmuError(f"{self.name} ({self.path}): {error}{self._log_text()}") from None
         finally:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
-            sys.path[:] = path  # PythonFMU's wrapper inserts one folder per instance
         self._alive = True
 
     def _callbacks(self) -> Any:

@@ -173,7 +173,6 @@ class _Exchange:
         for target, function in coupling.signals:
             self.drives[target[0]].append((function, *where_in[target]))
         self.recorded = [where_out[tuple(name.split("."))] for name in recorded]
-        self.is_real = [buffer._type_ is ctypes.c_double for buffer, _ in self.recorded]
 
     def gather(self, name: str, time: float) -> None:
         """Copy what the instance's inputs are wired to into its input buffers."""
@@ -193,18 +192,23 @@ class _Recorder:
     def __init__(self, exchange: _Exchange, names: Sequence[str], rows: int) -> None:
         self.names, self.exchange, self.rows = names, exchange, 0
         self.time = np.zeros(rows)
-        self.columns = [np.zeros(rows, dtype=np.float64 if real else np.int64) for real in exchange.is_real]
+        buffers = {id(buffer): buffer for buffer, _ in exchange.recorded}
+        self.views = {key: np.ctypeslib.as_array(buffer) for key, buffer in buffers.items()}
+        self.tables = {key: np.zeros((rows, len(view)), dtype=view.dtype) for key, view in self.views.items()}
+        self.copies = [(self.tables[key], self.views[key]) for key in buffers]
 
     def record(self, time: float) -> None:
         row = self.rows
         self.time[row] = time
-        for column, (buffer, index) in zip(self.columns, self.exchange.recorded, strict=True):
-            column[row] = buffer[index]
+        for table, view in self.copies:
+            table[row] = view
         self.rows = row + 1
 
     def result(self, coupling: Coupling, metadata: dict[str, Any]) -> Result:
-        n = self.rows
-        signals = {name: column[:n].copy() for name, column in zip(self.names, self.columns, strict=True)}
+        n, signals = self.rows, {}
+        for name, (buffer, index) in zip(self.names, self.exchange.recorded, strict=True):
+            column = self.tables[id(buffer)][:n, index]
+            signals[name] = column.astype(np.float64 if column.dtype.kind == "f" else np.int64)
         return Result(self.time[:n].copy(), signals, {name: coupling.unit(name) for name in self.names}, metadata)
 
 

@@ -9,6 +9,8 @@ Standard library only: this module travels inside the Python FMUs.
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import hashlib
 import json
 import math
@@ -27,10 +29,8 @@ from .variables import Interface, Value, Variable
 STATE_FORMAT = 1
 MANIFEST = "manifest.json"
 
-_kept: list[object] = []
-"""References that PythonFMU's wrapper gives back without owning them: the globals of the script that it loads, once per
-instantiation, and after an exception its own objects, which it releases again when the instance is freed. One more
-reference kept for each makes that harmless; a failed instance costs its memory until the process ends."""
+_finalized: set[str] = set()
+"""Wrapper libraries that are told to finalize before the process ends."""
 
 
 class Unit(Protocol):
@@ -84,6 +84,17 @@ def code_digest(resources: Path, package: str) -> str:
     return digest.hexdigest()
 
 
+def _finalize_at_exit(library: Path) -> None:
+    """Have the wrapper release its interpreter state before the process ends, where Python is the host.
+
+    Left to itself it destroys that state twice on the way out, which now and then aborts the process after all is done.
+    Where the wrapper has started Python itself, it ends it in its own time.
+    """
+    if sys.orig_argv and library.is_file() and str(library) not in _finalized:
+        _finalized.add(str(library))
+        atexit.register(ctypes.CDLL(str(library)).finalizePythonInterpreter)
+
+
 class GuardedSlave(Fmi2Slave):
     """An FMI 2.0 co-simulation slave around a `Unit`, driven by its `Interface`."""
 
@@ -94,7 +105,8 @@ class GuardedSlave(Fmi2Slave):
         super().__init__(**kwargs)
         resources = Path(str(self.resources))
         manifest = json.loads((resources / MANIFEST).read_text(encoding="utf-8"))
-        _kept.append(vars(sys.modules[manifest["script"]]))
+        sys.path[:] = [entry for entry in sys.path if entry != str(self.resources)]  # the wrapper adds it each time
+        _finalize_at_exit(resources.parent / "binaries" / "linux64" / f"{self.interface.name}.so")
         self._check_bundle(resources, manifest)
         self._variables = self.interface.variables
         self._values: list[Value] = [0.0 if v.start is None else v.start for v in self._variables]
@@ -244,6 +256,15 @@ class GuardedSlave(Fmi2Slave):
             self._unit = self.unit_class(self._values_by_name())
             self._unit.set_state(state["unit"])
 
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
+        """Return the state, or for bytes that are none a marker that `_set_fmu_state` refuses; the wrapper would crash."""
+        try:
+            found = json.loads(state.decode("utf-8"))
+        except ValueError:
+            return {}
+        return found if isinstance(found, dict) else {}
+
     # Inside
 
     def _check_bundle(self, resources: Path, manifest: dict[str, Any]) -> None:
@@ -323,4 +344,6 @@ class GuardedSlave(Fmi2Slave):
         inputs = ", ".join(f"{self._variables[vr].name} = {self._values[vr]!r}" for vr in self._inputs)
         text = "".join(traceback.format_exception(error))
         self.log(f"{error}\n{call} at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
-        _kept.append((self, type(self), self.log_queue, self.log_queue))
+        # The wrapper releases these now, and again when the instance is freed: one reference more than it owns.
+        for lent in (self, type(self), self.log_queue):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(lent))

@@ -28,9 +28,12 @@ from .variables import Value
 SHARED = ("fmu_export", "pythonfmu")
 """Packages that a unit's code may import besides its own."""
 
-SCRIPT = """from {package}.{module} import {name}
+SCRIPT = """import ctypes
 
-_kept = [globals()] * 2  # the wrapper releases this dictionary with each instantiation, the slave keeps one more each time
+from {package}.{module} import {name}
+
+# With each instantiation the wrapper runs this script and releases its globals, which it does not own.
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 """
 """What the wrapper loads: it looks for a slave class among the names of this script."""
 
@@ -123,20 +126,31 @@ def _modules(root: str) -> dict[str, bytes]:
                     f"{name} imports {imported}: code that runs in an FMU imports the standard library only"
                 )
         pattern = rf"^(\s*)from ({'|'.join(sorted(own))})\."
-        found[name] = re.sub(pattern, r"\1from ..\2.", source, flags=re.MULTILINE).encode()
+        bundled = re.sub(pattern, r"\1from ..\2.", source, flags=re.MULTILINE)
+        left = [imported for imported in _absolute_imports(bundled) if imported.split(".")[0] in own]
+        if left:
+            raise ImportError(f"{name} must import {left[0]} as `from PACKAGE.MODULE import NAME` to be bundled")
+        found[name] = bundled.encode()
     return found
 
 
-def _imports(source: str, module: str) -> set[str]:
-    """Return the absolute names of the modules that `source` imports."""
-    package = module.rsplit(".", 1)[0]
+def _absolute_imports(source: str) -> set[str]:
+    """Return the names of the modules that `source` imports absolutely."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             names.add(node.module or "")
-        elif isinstance(node, ast.ImportFrom):
+    return names
+
+
+def _imports(source: str, module: str) -> set[str]:
+    """Return the full names of the modules that `source` imports."""
+    package = module.rsplit(".", 1)[0]
+    names = _absolute_imports(source)
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.ImportFrom) and node.level:
             members = [node.module] if node.module else [alias.name for alias in node.names]
             names |= {f"{package}.{member}" for member in members}
     return names

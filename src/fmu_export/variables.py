@@ -82,8 +82,8 @@ class Variable:
             raise ValueError(f"{self.name} must be a {self.type}, found {str(value).lower()}")
         if self.type == "Real":
             return float(value)
-        if value != int(value) if math.isfinite(value) else True:
-            raise ValueError(f"{self.name} must be an integer, found {value}")
+        if not math.isfinite(value) or value != int(value) or not -(2**31) <= value < 2**31:
+            raise ValueError(f"{self.name} must be an integer of 32 bits, found {value}")
         return int(value)
 
 
@@ -119,6 +119,8 @@ class Interface:
             if name not in values:
                 raise ValueError(f"{self.name} has no parameter or input named {name!r}{did_you_mean(name, values)}")
             values[name] = self.by_name[name].check(value)
+            if not math.isfinite(values[name]):
+                raise ValueError(f"the start value of {name} must be finite, found {value}")
         return values
 
 

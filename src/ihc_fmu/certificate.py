@@ -153,9 +153,7 @@ def norm_of(design: Design, x: Array) -> float:
 def settling_time_bound(design: Design, x0: Array) -> float:
     """Return T(x0) [s] by which the linear closed loop has reached the origin: r0^mu / (mu alpha), r0 = ||x0||_d.
 
-    It follows from d||x||_d/dt <= -alpha ||x||_d^(1-mu); at mu = 1 it is the bound r0/alpha of Corollary 1. Infinite for
-    mu = 0, where convergence is exponential. It holds for the ideal law, a_min = 0 and b_max above r0, unlimited voltage.
+    It follows from d||x||_d/dt <= -alpha ||x||_d^(1-mu); at mu = 1 it is the bound r0/alpha of Corollary 1. It holds for
+    the ideal law, a_min = 0 and b_max above r0, and unlimited voltage.
     """
-    if design.mu == 0.0:
-        return float("inf")
     return norm_of(design, x0) ** design.mu / (design.mu * design.alpha)

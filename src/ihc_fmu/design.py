@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
 
 from .certificate import Certificate, CertificateError, certify
 from .companion import chain_form, checked_system, weights
@@ -63,14 +64,16 @@ class Design:
         A, b = checked_system(self.A, self.b)
         n = len(b)
         for name, shape in (("k_lin", (n,)), ("P", (n, n))):
-            value = np.asarray(getattr(self, name), dtype=float)
+            value = np.array(getattr(self, name), dtype=float)
             if value.shape != shape or not np.isfinite(value).all():
                 raise ValueError(f"{name} must be finite and of shape {shape}, found shape {value.shape}")
             object.__setattr__(self, name, value)
-        _check_scalars(self.mu, self.alpha, self.psi, self.d_max)
+        _check_scalars(self.mu, self.alpha, self.psi, self.d_max, self.tau)
         form = chain_form(A, b)
-        for name, value in (("A", A), ("b", b), ("Phi", form.Phi), ("row", form.row)):
+        for name, value in (("A", A.copy()), ("b", b.copy()), ("Phi", form.Phi), ("row", form.row)):
             object.__setattr__(self, name, value)
+        for name in ("A", "b", "k_lin", "P", "Phi", "row"):
+            getattr(self, name).setflags(write=False)  # what is certified stays as it is
         object.__setattr__(self, "certificate", certify(self))
 
     @property
@@ -106,9 +109,12 @@ class Design:
         """
         if (u_max is None) == (bound is None or index is None):
             raise ValueError("the scale of P needs one rule: u_max, or index and bound")
-        factor = self.u_max / u_max if u_max is not None else self.extent[index] / bound
-        if not (np.isfinite(factor) and factor > 0.0):
-            raise ValueError(f"the bound on the unit ball must be positive and finite, found {u_max or bound}")
+        size = u_max if u_max is not None else bound
+        if size is None or not 0.0 < size < np.inf:
+            raise ValueError(f"the bound on the unit ball must be positive and finite, found {size}")
+        if index is not None and not 0 <= index < self.n:
+            raise ValueError(f"the bounded state must be one of 0..{self.n - 1}, found {index}")
+        factor = (self.u_max if index is None else self.extent[index]) / size
         if self.psi or self.d_max:
             raise ValueError("a design with the terms of Remark 3 cannot be rescaled: psi and d_max fix the scale of P")
         return replace(self, P=self.P * float(factor) ** 2)
@@ -172,11 +178,13 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-def _check_scalars(mu: float, alpha: float, psi: float, d_max: float) -> None:
+def _check_scalars(mu: float, alpha: float, psi: float, d_max: float, tau: float = 1.0) -> None:
     if not 0.0 < mu <= 1.0:
         raise ValueError(f"mu must lie in (0, 1], found {mu}")
     if not 0.0 < alpha < np.inf:
         raise ValueError(f"alpha must be positive and finite [1/s], found {alpha}")
+    if not 0.0 < tau < np.inf:
+        raise ValueError(f"tau must be positive and finite, found {tau}")
     for name, value in (("psi", psi), ("d_max", d_max)):
         if not 0.0 <= value < np.inf:
             raise ValueError(f"{name} must be non-negative and finite, found {value}")
@@ -188,19 +196,40 @@ def _check_scalars(mu: float, alpha: float, psi: float, d_max: float) -> None:
 class _Scaled:
     """The problem with time in 1/omega and the control in u_max: z' = N z + e_n v, x = T z.
 
-    z = D Phi x with D = diag(omega^(n-1), ..., 1) omega / u_max.
+    z = D Phi x with D = diag(omega^(n-1), ..., 1) omega / u_max; or any other coordinates, see `to`.
     """
 
     N: Array
-    W: Array  # diag(w), the generator
+    e: Array
+    W: Array  # the generator
     T: Array  # x = T z
     k: Array  # the homogeneous gain, |k z| <= 1 on the unit ball
     omega: float
     u_max: float
 
-    @property
-    def e(self) -> Array:
-        return np.eye(len(self.N))[-1]
+    def to(self, P: Array) -> _Scaled:
+        """Return the problem in coordinates in which z' P z is a sum of squares."""
+        L_t = np.linalg.cholesky(P).T
+        inverse = np.linalg.inv(L_t)
+        return replace(
+            self,
+            N=L_t @ self.N @ inverse,
+            e=L_t @ self.e,
+            W=L_t @ self.W @ inverse,
+            T=self.T @ inverse,
+            k=self.k @ inverse,
+        )
+
+    def balanced(self, alpha: float) -> _Scaled:
+        """Return the problem in coordinates in which a first solution of the decrease alone is the unit matrix.
+
+        Chain coordinates of higher order make P ill-conditioned beyond what a solver can resolve; these do not. Where
+        alpha is too large for the Lyapunov equation to have a positive solution, nothing changes.
+        """
+        closed = self.N + np.outer(self.e, self.k) + alpha / self.omega * self.W
+        if np.linalg.eigvals(closed).real.max() >= 0.0:
+            return self
+        return self.to(solve_continuous_lyapunov(closed.T, -np.eye(len(self.e))))
 
 
 def _scale(A: Array, b: Array, k_lin: Array | None, mu: float, u_max: float) -> _Scaled:
@@ -212,6 +241,7 @@ def _scale(A: Array, b: Array, k_lin: Array | None, mu: float, u_max: float) -> 
     D = omega ** np.arange(n, 0, -1) / u_max
     return _Scaled(
         N=np.eye(n, k=1),
+        e=np.eye(n)[-1],
         W=np.diag(weights(n, mu)),
         T=np.linalg.inv(D[:, None] * form.Phi),
         k=kz / D / u_max,
@@ -338,6 +368,8 @@ def _optimize_for(A: Array, b: Array, k_lin: Array | None, options: Options, tau
     import cvxpy as cp  # noqa: PLC0415
 
     p = _scale(A, b, k_lin, options.mu, options.u_max or 1.0)
+    if k_lin is not None:
+        p = p.balanced(options.alpha)
     n = len(b)
     X = cp.Variable((n, n), symmetric=True)
     y = cp.Variable((1, n)) if k_lin is None else None
@@ -399,12 +431,13 @@ def largest_alpha(A: Array, b: Array, k_lin: Array, mu: float = 1.0, tolerance: 
     A, b = checked_system(A, b)
     k_lin = _checked_gain(k_lin, A, b)
     p = _scale(A, b, k_lin, mu, 1.0)
-    closed = p.N + np.outer(p.e, p.k)
-    low, high = 0.0, -float(np.linalg.eigvals(closed).real.max())
+    low, high = 0.0, -float(np.linalg.eigvals(A + np.outer(b, k_lin)).real.max())
     while high - low > tolerance * high:
         middle = (low + high) / 2
-        low, high = (middle, high) if _feasible(closed, p.W, middle) else (low, middle)
-    return low * p.omega
+        q = p.balanced(middle)
+        feasible = _feasible(q.N + np.outer(q.e, q.k), q.W, middle / p.omega)
+        low, high = (middle, high) if feasible else (low, middle)
+    return low
 
 
 def _feasible(closed: Array, W: Array, alpha: float) -> bool:

@@ -18,8 +18,11 @@ from math import exp, inf, isfinite, log, nan
 Vector = Sequence[float]
 Matrix = Sequence[Sequence[float]]
 
-NEWTON_LIMIT = 60
-"""Iterations after which the root search stops; ten are rare, sixty bisections alone reach the last bit."""
+NEWTON_LIMIT = 100
+"""Iterations after which the root search stops; more than ten are rare, and each two at least halve the bracket."""
+
+GUESSES = (1e-12, 1e12)
+"""Range of starting values that are used."""
 
 
 def solve(M: Matrix, B: Matrix) -> list[list[float]]:
@@ -110,18 +113,19 @@ def bisection_update(
 def homogeneous_norm(c: Vector, mu: float, guess: float = 1.0) -> float:
     """Return the canonical homogeneous norm of the state with polynomial `c`: the root of N(r) = 1.
 
-    Newton's method on ln N(e^sigma), whose slope is negative, kept inside a bracket that it tightens as it goes and
-    bisected where it leaves it. `guess` is a start, such as the norm a sample ago. The result is 0 for x = 0, NaN for a
-    state that is not finite, and the middle of the bracket reached after NEWTON_LIMIT iterations for a P and a
-    dilation without G_d' P + P G_d > 0, for which no unique root is promised.
+    Newton's method on ln N(e^sigma), whose slope is negative, kept inside a bracket that it tightens as it goes; the
+    bracket is bisected where a Newton step would leave it or is longer than half the step before. `guess` is a start,
+    such as the norm a sample ago; one beyond all reason is not used. The result is 0 for x = 0, and NaN for a state that
+    is not finite or so large or small that N leaves the range of numbers. For a P and a dilation without
+    G_d' P + P G_d > 0 there may be several roots, and the search ends after NEWTON_LIMIT iterations.
     """
     size = max(map(abs, c))
     if not size < inf:
         return nan
     if size == 0.0:
         return 0.0
-    low, high = -inf, inf
-    sigma = log(guess) if 0.0 < guess < inf else 0.0
+    low, high, last = -inf, inf, inf
+    sigma = log(guess) if GUESSES[0] < guess < GUESSES[1] else 0.0
     for _ in range(NEWTON_LIMIT):
         s = exp(-mu * sigma)
         value, weighted = 0.0, 0.0
@@ -138,9 +142,10 @@ def homogeneous_norm(c: Vector, mu: float, guess: float = 1.0) -> float:
         slope = 2.0 + mu * s * weighted / value
         step = error / slope if slope > 0.0 else inf
         following = sigma + max(-4.0, min(4.0, step))
-        if not low <= following <= high:
-            following = 0.5 * (low + high) if high - low < inf else sigma + (4.0 if error > 0.0 else -4.0)
-        if abs(following - sigma) <= 1e-15 * max(1.0, abs(sigma)):
+        if high - low < inf and not (low < following < high and abs(following - sigma) <= 0.5 * last):
+            following = 0.5 * (low + high)
+        last = abs(following - sigma)
+        if last <= 1e-15 * max(1.0, abs(sigma)):
             return exp(following)
         sigma = following
     return exp(sigma)

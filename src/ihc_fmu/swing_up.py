@@ -47,7 +47,7 @@ def swing_up_voltage(
 ) -> float:
     """Return the voltage [V] before the limit."""
     c = cos(delta)
-    energy = 0.5 * m.pendulum_inertia * delta_dot**2 + m.gravity_torque * (c - 1.0 - p.energy_offset)
+    energy = 0.5 * m.pendulum_inertia * delta_dot * delta_dot + m.gravity_torque * (c - 1.0 - p.energy_offset)
     at_rest = c < REST_COSINE and abs(delta_dot) < REST_VELOCITY
     direction = 1.0 if at_rest else saturate(delta_dot * c / p.velocity_scale, 1.0)
     wanted = saturate(-p.energy_gain * energy * direction, p.acceleration_limit)

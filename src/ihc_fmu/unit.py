@@ -149,7 +149,10 @@ class IhcControllerUnit:
         if index > state.next_sample:
             raise ValueError(f"sample {state.next_sample} of sample_time {self.sample_time:g} s was stepped over")
         state.next_sample += 1
-        return self.sample(inputs)
+        try:
+            return self.sample(inputs)
+        except (OverflowError, ValueError) as error:  # finite measurements beyond the range of numbers on the way
+            return self._fail(Fault.NON_FINITE_CONTROL, str(error))
 
     def sample(self, inputs: tuple[float, ...]) -> list[str]:
         """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
@@ -176,6 +179,7 @@ class IhcControllerUnit:
             state.interval = (self.a_min, self.b_max)
             x = self._use_filter(inputs, x)
             z, polynomial = self._norm_polynomial(x)
+            state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
         state.theta_dot, state.delta_dot = x[2], x[3]
         command = self._command(x, z, polynomial)
         if self.compensate and state.mode == Mode.STABILIZING:
@@ -301,7 +305,7 @@ class IhcControllerUnit:
     def _norm_in_law(self, polynomial: list[float]) -> float:
         state = self.state
         if self.exact:
-            return min(self.b_max, max(self.a_min, state.norm))
+            return state.norm if math.isnan(state.norm) else min(self.b_max, max(self.a_min, state.norm))
         low, high = state.interval  # brought within bounds that may have been tuned since
         interval = (min(self.b_max, max(self.a_min, low)), min(self.b_max, max(self.a_min, high)))
         state.interval = homogeneity.bisection_update(polynomial, self.mu, interval, self.a_min, self.b_max, self.j_max)

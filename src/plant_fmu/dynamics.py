@@ -100,6 +100,6 @@ def derivative_inductance(c: Coefficients, x: State, voltage: float, tau_p: floa
 def energy(c: Coefficients, delta: float, theta_dot: float, delta_dot: float) -> float:
     """Return the mechanical energy q'J(q)q'/2 + m_p g_p L_p (cos delta - 1)/2 [J]; 0 at rest upright."""
     s, k = sin(delta), cos(delta)
-    kinetic = 0.5 * (c.J_11 + c.zeta_4 * s * s) * theta_dot**2
-    kinetic += 0.5 * c.J_22 * delta_dot**2 - c.varpi_2 * k * theta_dot * delta_dot
+    kinetic = 0.5 * (c.J_11 + c.zeta_4 * s * s) * theta_dot * theta_dot
+    kinetic += 0.5 * c.J_22 * delta_dot * delta_dot - c.varpi_2 * k * theta_dot * delta_dot
     return kinetic + c.gravity * (k - 1.0)

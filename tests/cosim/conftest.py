@@ -56,7 +56,7 @@ def tiny(tiny_fmu):
 
 @pytest.fixture
 def repacked(tmp_path):
-    """Make a copy of an FMU with files changed; None removes a file, a name that ends in / its whole folder."""
+    """Make a copy of an FMU with its text changed by functions; None removes a file, a name that ends in / a folder."""
 
     def repack(fmu, changes):
         path = tmp_path / f"changed {fmu.name}"

@@ -246,9 +246,14 @@ def test_instances_leave_search_path_and_working_folder(running):
     assert (sys.path, Path.cwd()) == (path, folder)
 
 
-def test_an_fmu_that_cannot_be_loaded_is_named_and_leaves_nothing(tiny_fmu, repacked):
+@pytest.mark.parametrize("binary", ["missing", "broken"])
+def test_an_fmu_that_cannot_be_loaded_is_named_and_leaves_nothing(tiny_fmu, repacked, binary):
     path, folder = list(sys.path), Path.cwd()
-    instance = Instance("a", repacked(tiny_fmu, {"binaries/": None}))
+    fmu = repacked(tiny_fmu, {"binaries/": None})
+    if binary == "broken":
+        with zipfile.ZipFile(fmu, "a") as archive:
+            archive.writestr(f"binaries/{fmpy.platform}/Tiny{fmpy.sharedLibraryExtension}", "no code")
+    instance = Instance("a", fmu)
     with pytest.raises(FmuError, match=r"^a \(.*changed Tiny\.fmu\): "):
         instance.start({}, 0.0, 1.0)
     instance.close()

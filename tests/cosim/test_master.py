@@ -1,5 +1,6 @@
 """The master: what it refuses before anything runs, its time, its order, and that it adds nothing to the two units."""
 
+import gc
 import math
 import sys
 from fractions import Fraction
@@ -457,6 +458,26 @@ def test_two_systems_side_by_side_do_not_interact(pair):
 def _numbered(name, key):
     instance, variable = name.split(".")
     return f"{instance}{key}.{variable}"
+
+
+def living_slaves():
+    gc.collect()
+    return sum(type(thing).__name__ == "Tiny" for thing in gc.get_objects())
+
+
+def test_instances_are_freed_with_the_run_also_with_one_that_is_interrupted(tiny):
+    before, seen = living_slaves(), []
+
+    def look(done, total):
+        seen.append(living_slaves() - before)
+        if done < total:
+            raise KeyboardInterrupt
+
+    run(System([tiny("a"), tiny("b")]), steps=2, progress=look)
+    assert (seen, living_slaves()) == ([2], before)
+    with pytest.raises(Interrupted):
+        run(System([tiny("a"), tiny("b")]), steps=2 * PROGRESS_EVERY, progress=look)
+    assert (seen, living_slaves()) == ([2, 2], before)
 
 
 def open_files():

@@ -20,8 +20,7 @@ NAMES = ("QubeServo2", "IhcController")
 HERE = Path(__file__).parent
 
 BEFORE = "import json, os, sys\ndata = json.loads(sys.stdin.readline())\n"
-# PythonFMU's wrapper destroys a static object twice when its process ends, now and then fatally: leave without that.
-AFTER = "\nprint(json.dumps(result), flush=True)\nos._exit(0)\n"
+AFTER = "\nprint(json.dumps(result), flush=True)\n"
 
 
 class Host:

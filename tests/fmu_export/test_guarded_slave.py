@@ -312,11 +312,11 @@ def test_closed_loop_equals_the_library_exactly(of_plant, of_controller, reached
     assert reached in modes
 
 
-def test_late_times_and_steps_of_a_sixtieth_are_not_taken_for_jumps(host):
-    step, first = 1 / 60, 6_000_000
+@pytest.mark.parametrize(("step", "first"), [(1 / 60, 6_000_000), (1e-5 / 3, 30_000_000_000)])
+def test_rounding_of_late_times_is_not_taken_for_a_jump(step, first, host):
     plant = host(PLANT).initialize(first * step)
     controller = host(CONTROLLER).initialize(first * step, sample_time=step)
-    for k in range(first, first + 1000):
+    for k in range(first, first + 500):
         controller.step(k * step, step)
         plant.step(k * step, step)
 
@@ -490,3 +490,30 @@ def test_digest_depends_on_names_and_contents_of_the_python_files_only(tmp_path)
     assert digest(sub__b="y = 2", a="x = 1", note="text") == one
     others = [digest(a="x = 2", sub__b="y = 2"), digest(a="x = 1", sub__c="y = 2"), digest(a="x = 1", b="y = 2")]
     assert len({one, *others, digest(a="x = 1"), digest(a="y = 2", sub__b="x = 1")}) == 6
+
+
+FREED = """
+import gc
+from conftest import Host
+failing = [lambda h: h.slave.doStep(0.0, 1e-3), lambda h: h.slave.terminate(), lambda h: h.slave.setReal([9999], [0.0])]
+failing += [lambda h: h.slave.getString([0]), lambda h: h.slave.setupExperiment(startTime=float("nan"))]
+good = Host(data).initialize()
+refused = 0
+for _ in range(8):
+    for fail in failing:
+        h = Host(data)
+        try:
+            fail(h)
+        except Exception:
+            refused += 1
+        h.slave.freeInstance()
+        gc.collect()
+result = [refused, list(good.step(0.0, 1e-3))]
+"""
+
+
+def test_failed_instances_can_be_freed_and_leave_the_process_sound(name, folders, unit, slaves, run_python):
+    library = unit(name)
+    library.initialize(0.0, inputs := tuple(0.0 for _ in slaves[name].interface.of("input")))
+    library.step(0.0, 1e-3, inputs)
+    assert run_python(FREED, str(folders[name])) == [40, list(library.outputs())]

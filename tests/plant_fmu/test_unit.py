@@ -8,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from plant_fmu import dynamics
-from plant_fmu.integrator import rk4_step
 from plant_fmu.interface import INTERFACE
 from plant_fmu.parameters import PARAMETER_SETS
 from plant_fmu.unit import QubePlant
