@@ -517,3 +517,21 @@ def test_failed_instances_can_be_freed_and_leave_the_process_sound(name, folders
     library.initialize(0.0, inputs := tuple(0.0 for _ in slaves[name].interface.of("input")))
     library.step(0.0, 1e-3, inputs)
     assert run_python(FREED, str(folders[name])) == [40, list(library.outputs())]
+
+
+BROKEN = """
+from conftest import Host
+refused = 0
+for state in (b"not json", b"[1, 2]", b"{}", b"\\xff\\xfe"):
+    h = Host(data).initialize()
+    try:
+        h.slave.setFMUstate(h.slave.deSerializeFMUstate(state))
+    except Exception:
+        refused += "the state must be of" in h.log[-2][2] + h.log[-1][2]
+    h.slave.freeInstance()
+result = refused
+"""
+
+
+def test_broken_states_are_refused_and_leave_the_process_sound(name, folders, run_python):
+    assert run_python(BROKEN, str(folders[name])) == 4

@@ -1,7 +1,7 @@
 """Designs by matrix inequalities: an independent solution, active bounds, limits of alpha, robust terms, files."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -282,3 +282,40 @@ def test_file_that_proves_nothing_is_refused_by_name(design, tmp_path, changes, 
 def test_text_that_is_no_design_is_refused(text, message):
     with pytest.raises(ValueError, match=message):
         Design.from_json(text)
+
+
+@pytest.mark.parametrize("tau", [0.0, -1.0, float("nan"), float("inf")])
+def test_multiplier_that_proves_nothing_is_refused(design, tau):
+    with pytest.raises(ValueError, match="tau must be positive and finite, found"):
+        replace(design, d_max=1.0, tau=tau)
+
+
+@pytest.mark.parametrize(("n", "mu"), [(6, 1.0), (7, 1.0), (7, 0.2)])
+def test_high_orders_are_designed(n, mu):
+    """Integrator chains with poles -2, -3, ...; the designs prove themselves."""
+    A, b, k_lin = np.eye(n, k=1), np.eye(n)[-1], -np.poly(-np.arange(2.0, 2.0 + n))[::-1][:-1]
+    alpha = 0.5 * largest_alpha(A, b, k_lin, mu)
+    found = inverse_design(A, b, k_lin, Options(mu=mu, alpha=alpha, u_max=10.0))
+    assert found.u_max == pytest.approx(10.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("alpha", [0.2, 0.5, 0.7, 1.0])
+def test_nearly_linear_designs_are_found(paper, alpha):
+    assert inverse_design(*paper, options=Options(mu=0.01, alpha=alpha)).certificate.decrease > 0.0
+
+
+def test_what_is_certified_cannot_be_changed(design, paper):
+    P = design.P.copy()
+    made = Design(*paper, P=P, mu=design.mu, alpha=design.alpha)
+    P[0, 0] = 0.0
+    assert made.P[0, 0] == design.P[0, 0]
+    with pytest.raises(ValueError, match="read-only"):
+        made.P[0, 0] = 0.0
+
+
+@pytest.mark.parametrize(
+    "rule", [{"u_max": 0.0}, {"u_max": -1.0}, {"index": 4, "bound": 1.0}, {"index": 1, "bound": 0.0}]
+)
+def test_impossible_scale_is_refused(design, rule):
+    with pytest.raises(ValueError, match="must be"):
+        design.scaled_to(**rule)

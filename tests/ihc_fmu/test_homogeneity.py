@@ -196,3 +196,17 @@ def test_algorithm_as_printed_stays_linear_inside_the_unit_ball():
         ours = hom.bisection_update(c, mu, ours, a_min, b_max, 3)
     assert printed[1] == b_max
     assert ours[1] == pytest.approx(0.2, rel=1e-9)
+
+
+def test_norm_is_found_from_any_guess_where_newton_alone_would_cycle(design):
+    """States on which an unguarded Newton iteration jumps to and fro for ever, and many more from far guesses."""
+    Pz = hom.to_chain(design.Phi.tolist(), design.P.tolist())
+    rng = np.random.default_rng(4)
+    states: list[Any] = [np.array([4.54209828, 0.89417266, 0.05005187, -3.00770324])]
+    states += [np.array([112839.47, 36.992, -303.178, -2.51214])]
+    states += list(rng.normal(size=(500, 4)) * 10.0 ** rng.uniform(-5, 4, (500, 4)))
+    for x in states:
+        c = hom.norm_polynomial(Pz, (design.Phi @ x).tolist())
+        for guess in (1.0, 1e-6, 1e10, 1e100, 1e-60, 0.0, nan):
+            r = hom.homogeneous_norm(c, 1.0, guess)
+            assert hom.squared_norm(c, 1.0, r * (1 - 1e-9)) > 1.0 > hom.squared_norm(c, 1.0, r * (1 + 1e-9))

@@ -58,7 +58,7 @@ def test_what_the_estimators_are_built_from_is_fixed_and_what_an_operator_tunes_
         ({"mu": 1.5}, r"mu must lie in \[0, 1\], found 1.5"),
         ({"law": "PID"}, "law must be one of LC, SMC, IHC, found 'PID'"),
         ({"law": 4}, r"law must lie in \[1, 3\], found 4"),
-        ({"j_max": 2.5}, "j_max must be an integer, found 2.5"),
+        ({"j_max": 2.5}, "j_max must be an integer of 32 bits, found 2.5"),
         ({"sample_time": 0.0}, "sample_time must lie in .* s, found 0.0"),
         ({"k_lin_1": float("nan")}, "k_lin_1 must be finite, found nan"),
         ({"a_mim": 0.5}, "no parameter or input named 'a_mim'; did you mean a_min"),

@@ -377,3 +377,22 @@ def test_homogeneous_controller_is_steadier_than_the_linear_one_with_encoders(co
     linear, homogeneous = np.mean(steady["LC"]), np.mean(steady["IHC"])
     assert homogeneous < 0.9 * linear
     assert linear == pytest.approx(0.014, rel=0.3)
+
+
+def test_norm_at_capture_is_that_of_the_state_in_the_law(controller, closed_loop, design):
+    """The observer decides on the capture, the law sees the filter: its norm must be of the same state."""
+    run = closed_loop(controller(norm_solver="exact", a_min=1e-3, b_max=20.0), 1.5)
+    k = np.flatnonzero(run["mode"] == Mode.STABILIZING)[0]
+    delta = math.remainder(run["delta_encoder"][k], math.tau)
+    x: Any = [run["theta_encoder"][k], delta, run["theta_dot_estimate"][k], run["delta_dot_estimate"][k]]
+    Pz = homogeneity.to_chain(design.Phi.tolist(), design.P.tolist())
+    expected = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, (design.Phi @ x).tolist()), 1.0)
+    assert run["homogeneous_norm_used"][k] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("seen", [(0.0, 3.0, 0.0, 1e160), (0.0, 0.1, 1e308, 1e308), (1e308, 3.0, 1e308, 0.0)])
+def test_measurements_beyond_the_range_of_numbers_are_a_fault(controller, seen):
+    unit = started(controller(**STATE_INPUT), (0.0, 3.0, 0.0, 0.0))
+    feed(unit, [(0.0, 3.0, 0.0, 0.0), seen])
+    assert outputs(unit)["mode"] == Mode.FAULT
+    assert outputs(unit)["voltage"] == 0.0

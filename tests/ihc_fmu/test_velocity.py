@@ -47,7 +47,7 @@ def test_filter_turns_a_ramp_into_its_slope_with_first_order_in_the_sample_time(
     assert log(errors[0] / errors[1]) / log(2) == pytest.approx(1.0, abs=0.02)
 
 
-@pytest.mark.parametrize("h", [1e-5, 1e-4, 1e-3, 5e-3])
+@pytest.mark.parametrize("h", [1e-5, 1e-4, 1e-3, 5e-3, 2e-2, 0.1, 1.0])
 @pytest.mark.parametrize("q", [1e-3, 1.0, 10.0])
 @pytest.mark.parametrize("resolution", [2 * pi / 2048, 2 * pi / 4096])
 def test_gains_are_those_of_the_riccati_equation(q, resolution, h):
