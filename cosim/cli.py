@@ -259,16 +259,20 @@ def _export(
     changes = changes or {"plant": {}, "controller": {}}
     A, b, k_lin = found.A, found.b, found.k_lin
     sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
+    plant_start = plant_start_values(parameters) | changes["plant"]
+    controller_start = controller_start_values(found, nominal, sliding) | changes["controller"]
+    for slave, start in ((QubeServo2, plant_start), (IhcController, controller_start)):
+        slave.unit_class(slave.interface.start_values(start))  # refuse both before writing either
     plant = export_python_fmu(
         QubeServo2,
         output / "QubeServo2.fmu",
-        plant_start_values(parameters) | changes["plant"],
+        plant_start,
         plant_notes(parameters),
     )
     controller = export_python_fmu(
         IhcController,
         output / "IhcController.fmu",
-        controller_start_values(found, nominal, sliding) | changes["controller"],
+        controller_start,
         controller_notes(found, nominal),
     )
     wires = [(w.source, w.target) for w in WIRES["encoders"]]
@@ -305,12 +309,14 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then.
     """
     from .master import Interrupted, SimulationError
-    from .metrics import evaluate
+    from .metrics import can_evaluate, evaluate
     from .scenario import load_scenario, run_scenario
 
     chosen, folder = load_scenario(scenario)
     chosen = chosen.changed(dict(_assignments(change)))
     path = output or Path("results") / f"{chosen.name}.csv"
+    if path.suffix != ".csv":
+        raise UserError(f"--output must name a .csv file, found {path}")
     with _progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -325,11 +331,11 @@ def run(
     _warn_of_messages(result)
     result.save(path)
     console.print(f"wrote {path} and {path.with_suffix('.json')}")
-    if plot and {"controller.voltage", "controller.mode", "controller.homogeneous_norm"} <= result.signals.keys():
+    if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:
         from .plots import save_overview
 
         console.print(f"wrote {save_overview(result, path.with_suffix('.png'), chosen.description or chosen.name)}")
-    if {"controller.voltage", "controller.mode"} <= result.signals.keys():
+    if can_evaluate(result):
         for name, value in evaluate(result).as_dict().items():
             console.print(f"  {name:14} {_number(value)} {METRIC_UNITS[name]}")
 
@@ -382,11 +388,7 @@ def compare(
 
 def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
     from .experiments import compare as run_comparison
-    from .fmu import describe
 
-    for name in ("QubeServo2.fmu", "IhcController.fmu"):
-        if not any((s.folder / name).is_file() for s in studies):
-            describe(fmus / name)  # says what is missing before any process is started
     with _progress() as bar:
         task = bar.add_task("co-simulation", total=None)
         comparisons = run_comparison(

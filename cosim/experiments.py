@@ -7,16 +7,19 @@ import math
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from .master import Coupling
 from .metrics import NAMES, Metrics, evaluate
 from .results import Result, write_beside
-from .scenario import Scenario, run_scenario
+from .scenario import Scenario, build_system, run_scenario
 
 LAWS = ("LC", "SMC", "IHC")
 
@@ -97,17 +100,26 @@ def compare(
     """
     jobs = [(s, law, seed) for s in range(len(studies)) for seed in studies[s].seeds or [None] for law in laws]
     found: dict[tuple[int, str, int | None], tuple[Metrics, Result]] = {}
+    for study in studies:  # says what cannot work before any process is started
+        Coupling(build_system(study.scenario, fmus, study.folder))
     workers = min(workers or os.cpu_count() or 1, len(jobs))
     context = multiprocessing.get_context("spawn")  # a forked FMU host would share threads and locks
-    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_ignore_interrupt)
+    others = multiprocessing.active_children()
+    pool = ProcessPoolExecutor(workers, mp_context=context)
     try:
-        futures = {pool.submit(_run, studies[s], fmus, law, seed): (s, law, seed) for s, law, seed in jobs}
+        with _interrupt_ignored():  # by the workers, who inherit this; the parent decides
+            futures = {pool.submit(_run, studies[s], fmus, law, seed): (s, law, seed) for s, law, seed in jobs}
         for done, future in enumerate(as_completed(futures), start=1):
             found[futures[future]] = future.result()
             if progress is not None:
                 progress(done, len(jobs))
+    except BaseException:
+        for process in multiprocessing.active_children():
+            if process not in others:
+                process.terminate()
+        raise
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(wait=True, cancel_futures=True)
     comparisons = []
     for s, study in enumerate(studies):
         draws = tuple(Draw(law, seed, found[s, law, seed][0]) for law in laws for seed in study.seeds or [None])
@@ -117,8 +129,17 @@ def compare(
     return comparisons
 
 
-def _ignore_interrupt() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+@contextmanager
+def _interrupt_ignored() -> Iterator[None]:
+    """Ignore Ctrl-C for as long as it takes to start processes."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    earlier = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, earlier)
 
 
 def _run(study: Study, fmus: Path, law: str, seed: int | None) -> tuple[Metrics, Result]:

@@ -102,16 +102,17 @@ def as_value(variable: ScalarVariable, value: Value | str) -> Value:
         if not isinstance(value, bool):
             raise UserError(f"{name} must be true or false, found {value!r}")
         return value
-    if isinstance(value, bool | str) or (kind == "Integer" and value != int(value)):
-        raise UserError(f"{name} must be {'an integer' if kind == 'Integer' else 'a number'}, found {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise UserError(f"{name} must be a number, found {value!r}")
     if not math.isfinite(value):
         raise UserError(f"{name} must be finite, found {value}")
+    if kind == "Integer" and (value != int(value) or not -(2**31) <= value < 2**31):
+        raise UserError(f"{name} must be an integer of 32 bits, found {value!r}")
     low = -math.inf if variable.min is None else float(variable.min)
     high = math.inf if variable.max is None else float(variable.max)
     if not low <= value <= high:
-        raise UserError(
-            f"{name} must lie in [{low:g}, {high:g}] {variable.unit or ''}, found {value}".replace(" ,", ",")
-        )
+        unit = "" if variable.unit in (None, "1") else f" {variable.unit}"
+        raise UserError(f"{name} must lie in [{low:g}, {high:g}]{unit}, found {value}")
     return int(value) if kind == "Integer" else float(value)
 
 

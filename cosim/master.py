@@ -10,7 +10,10 @@ from __future__ import annotations
 
 import ctypes
 import math
-from collections.abc import Callable, Mapping, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -28,6 +31,9 @@ ORDERS: tuple[str, ...] = get_args(Order)
 
 PROGRESS_EVERY = 256
 """Steps between two reports of progress."""
+
+MOST_STEPS = 10**9
+"""Steps of the longest run."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +77,9 @@ class SimulationError(RuntimeError):
         super().__init__(message)
         self.result, self.time, self.instance = result, time, instance
 
+    def __reduce__(self) -> tuple[Any, ...]:  # exceptions pass between processes
+        return type(self), (str(self), self.result, self.time, self.instance)
+
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C during a run; `result` holds everything recorded until then."""
@@ -79,15 +88,20 @@ class Interrupted(KeyboardInterrupt):
         super().__init__("interrupted")
         self.result = result
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.result,)
+
 
 def step_count(step: float, duration: float) -> int:
     """Return duration/step; raise UserError where the two do not fit, naming both."""
     for name, value in (("step", step), ("duration", duration)):
         if not (math.isfinite(value) and value > 0.0):
             raise UserError(f"{name} must be positive and finite, found {value} s")
-    steps = round(duration / step)
+    steps = round(min(duration / step, 2.0 * MOST_STEPS))
+    if steps > MOST_STEPS:
+        raise UserError(f"a run may have {MOST_STEPS:g} steps, found a duration of {duration} s and a step of {step} s")
     if steps < 1 or abs(duration / step - steps) > 1e-6:
-        raise UserError(f"duration must be a multiple of the step, found {duration:g} s and {step:g} s")
+        raise UserError(f"duration must be a multiple of the step, found {duration} s and {step} s")
     return steps
 
 
@@ -255,6 +269,20 @@ def simulate(
     return run.execute(step, start_time, order, progress)
 
 
+@contextmanager
+def _deferred_interrupt() -> Iterator[list[int]]:
+    """Collect Ctrl-C in a list instead of raising it: raised inside a Python FMU it would be that FMU's failure."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    earlier = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    try:
+        yield received
+    finally:
+        signal.signal(signal.SIGINT, earlier)
+
+
 class _Run:
     """One run, from instantiation to the freed instances."""
 
@@ -263,14 +291,16 @@ class _Run:
         self.recorded = recorded
         self.recorder: _Recorder | None = None
         self.time, self.current = 0.0, ""
+        self.interrupt: list[int] = []
 
     def execute(
         self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None
     ) -> Result:
         self.time = start_time
         try:
-            self._start(start_time, start_time + self.steps * step)
-            self._loop(step, start_time, order, progress)
+            with _deferred_interrupt() as self.interrupt:
+                self._start(start_time, start_time + self.steps * step)
+                self._loop(step, start_time, order, progress)
             self.about["complete"] = True
         except FmuError as error:
             where = f"at t = {self.time:.9g} s: "
@@ -310,7 +340,10 @@ class _Run:
             for name, instance in self.coupling.instances.items()
         ]
         groups = [[stage] for stage in stages] if order == "controller-first" else [stages]
+        interrupt = self.interrupt
         for k in range(self.steps):
+            if interrupt:
+                raise KeyboardInterrupt
             self.time = time = start_time + k * step
             for group in groups:
                 for name, _, _, _, _ in group:

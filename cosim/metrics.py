@@ -47,6 +47,13 @@ def wrapped(angle: Array) -> Array:
     return -((math.pi - angle) % (2.0 * math.pi) - math.pi)
 
 
+def can_evaluate(result: Result) -> bool:
+    """Return whether `result` has the signals that the metrics need."""
+    angles = ({f"plant.{a}{suffix}" for a in ("theta", "delta")} for suffix in ("", "_encoder"))
+    known = result.signals.keys()
+    return {"controller.voltage", "controller.mode"} <= known and any(pair <= known for pair in angles)
+
+
 def angle_norm(result: Result) -> Array:
     """Return |q| [rad] at each row: of the true angles where the result has them, of the measured ones otherwise."""
     for suffix in ("", "_encoder"):

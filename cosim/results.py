@@ -24,8 +24,8 @@ class Result:
     """Signals at communication points.
 
     time [s] of shape (rows,); signals by name `instance.variable`, each of shape (rows,), float64 or int64; units by
-    the same names; metadata as JSON types. A row holds every output at its time; the voltage of a row is the one that
-    was applied over the step that ended there.
+    the same names; metadata as JSON types. A row holds every output at its time; with the order controller-first the
+    voltage of a row is the one that was applied over the step that ended there, with parallel the one of the next step.
     """
 
     time: Array
@@ -41,7 +41,8 @@ class Result:
 
     def save(self, path: Path) -> None:
         """Write `path` (CSV) and the JSON beside it, under temporary names first, so that neither is ever half there."""
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix != ".csv":
+            raise UserError(f"a result goes into a file named *.csv, found {path}")
         header = {"format": FORMAT, "units": self.units, "metadata": self.metadata}
         write_beside(path.with_suffix(".json"), json.dumps(header, indent=1) + "\n")
         columns = [self.time.tolist(), *[signal.tolist() for signal in self.signals.values()]]
@@ -61,8 +62,9 @@ class Result:
         except FileNotFoundError as error:
             raise UserError(f"result file {error.filename} does not exist") from None
         except (json.JSONDecodeError, ValueError, StopIteration, UnicodeDecodeError) as error:
-            raise UserError(f"{path}: not a result: {error}") from None
-        if header.get("format") != FORMAT or names[:1] != ["time"] or len(names) != len(columns):
+            raise UserError(f"{path}: not a result: {str(error) or 'the file is empty'}") from None
+        right = isinstance(header, dict) and header.get("format") == FORMAT and {"units", "metadata"} <= header.keys()
+        if not right or names[:1] != ["time"] or len(names) != len(columns) or len(set(names)) != len(names):
             raise UserError(f"{path}: not a result of the format {FORMAT!r}")
         arrays = [_column(path, name, column) for name, column in zip(names, columns, strict=True)]
         return cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
@@ -73,7 +75,7 @@ def _column(path: Path, name: str, texts: tuple[str, ...]) -> Array:
         if name != "time" and texts and all(text.lstrip("-").isdigit() for text in texts):
             return np.array(texts, dtype=np.int64)
         return np.array(texts, dtype=np.float64)
-    except ValueError as error:
+    except (ValueError, OverflowError) as error:
         raise UserError(f"{path}: column {name}: {error}") from None
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fmu_export.variables import did_you_mean
+from ihc_fmu.interface import VELOCITY_SOURCES
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
@@ -158,8 +159,10 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, IsADirectoryError):
+    except FileNotFoundError:
         raise UserError(f"scenario file {path} does not exist") from None
+    except OSError as error:
+        raise UserError(f"scenario file {path} cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path} is not TOML: {error}") from None
     return _validated({"name": path.stem, **data}, str(path)), path.parent
@@ -170,7 +173,10 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
         raise UserError(f"{source}: {_first_problem(error)}") from None
-    step_count(scenario.run.step, scenario.run.duration)
+    try:
+        step_count(scenario.run.step, scenario.run.duration)
+    except UserError as error:
+        raise UserError(f"{source}: {error}") from None
     names = scenario.plant.parameters
     if names is not None and names not in PARAMETER_SETS:
         raise UserError(f"{source}: plant.parameters must be one of {', '.join(PARAMETER_SETS)}, found {names!r}")
@@ -179,6 +185,9 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
 
 def _first_problem(error: ValidationError) -> str:
     problem = error.errors()[0]
+    if problem["loc"][-1] in ("bool", "int", "float", "str"):
+        place = ".".join(map(str, problem["loc"][:-1]))
+        return f"{place} must be a number, true, false or a name, found {problem['input']!r}"
     place = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         section: Any = Scenario
@@ -208,7 +217,7 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
     if scenario.plant.measurement == "ideal":
         controller_start["velocity_source"] = "input"
     controller_start |= scenario.controller.start
-    if controller_start.get("velocity_source") == "kalman":
+    if controller_start.get("velocity_source") in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
         controller_start = _kalman_values(controller_fmu, controller_start) | controller_start
     signals = []
     if scenario.disturbance.sines and scenario.disturbance.gain:
@@ -263,10 +272,10 @@ def _kalman_values(fmu: Path, start: Mapping[str, StartValue]) -> dict[str, Star
     """Return the Kalman filter's gain for the sample time and the nominal model, the FMU's where `start` has no other."""
     from ihc_fmu.start_values import kalman_values  # noqa: PLC0415 - heavy
 
-    from .fmu import describe  # noqa: PLC0415
+    from .fmu import as_value, describe  # noqa: PLC0415
 
     variables = [v for v in describe(fmu)[1].modelVariables if v.name.startswith("nominal_")]
-    nominal = {v.name: float(start.get(v.name, v.start)) for v in variables}  # type: ignore[arg-type]
+    nominal = {v.name: float(as_value(v, start.get(v.name, float(v.start)))) for v in variables}  # type: ignore[arg-type]
     return dict(kalman_values(nominal, float(start["sample_time"])))
 
 

@@ -71,9 +71,14 @@ def _guarded(method: F) -> F:
             return method(self, *args)
         except Exception as error:
             self._record_failure(method.__name__, error)
-            raise RuntimeError(f"{self.instance_name}: {method.__name__}: {error}") from None
+            raise RuntimeError(_as_format(f"{self.instance_name}: {method.__name__}: {error}")) from None
 
     return call  # type: ignore[return-value]
+
+
+def _as_format(message: str) -> str:
+    """Return the message as the format string that FMI's logger takes it for."""
+    return message.replace("%", "%%")
 
 
 def code_digest(resources: Path, package: str) -> str:
@@ -168,7 +173,7 @@ class GuardedSlave(Fmi2Slave):
         self._time = current_time + step_size
         self._read_outputs()
         for message in messages:
-            self.log(f"t = {current_time:.9g} s: {message}", Fmi2Status.warning)
+            self._say(f"t = {current_time:.9g} s: {message}", Fmi2Status.warning)
         return True
 
     @_guarded
@@ -291,7 +296,7 @@ class GuardedSlave(Fmi2Slave):
         self._unit = self.unit_class(self._values_by_name())
         messages = self._unit.initialize(self._time, tuple([float(self._values[vr]) for vr in self._inputs]))
         for message in messages:
-            self.log(f"t = {self._time:.9g} s: {message}", Fmi2Status.warning)
+            self._say(f"t = {self._time:.9g} s: {message}", Fmi2Status.warning)
         self._read_outputs()
 
     def _read_outputs(self) -> None:
@@ -340,10 +345,13 @@ class GuardedSlave(Fmi2Slave):
                 f"{self._phase!r}"
             )
 
+    def _say(self, message: str, status: Fmi2Status) -> None:
+        self.log(_as_format(message), status)
+
     def _record_failure(self, call: str, error: Exception) -> None:
         inputs = ", ".join(f"{self._variables[vr].name} = {self._values[vr]!r}" for vr in self._inputs)
         text = "".join(traceback.format_exception(error))
-        self.log(f"{error}\n{call} at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
+        self._say(f"{error}\n{call} at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
         # The wrapper releases these now, and again when the instance is freed: one reference more than it owns.
         for lent in (self, type(self), self.log_queue):
             ctypes.pythonapi.Py_IncRef(ctypes.py_object(lent))

@@ -75,11 +75,11 @@ class Variable:
                 raise ValueError(f"{self.name} must be {expected}, found {value!r}")
             return self.items.index(value) + 1
         if self.type == "Boolean":
-            if value not in (0, 1):
+            if not isinstance(value, int | float) or value not in (0, 1):
                 raise ValueError(f"{self.name} must be true or false, found {value}")
             return bool(value)
-        if isinstance(value, bool):
-            raise ValueError(f"{self.name} must be a {self.type}, found {str(value).lower()}")
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{self.name} must be a number, found {value}")
         if self.type == "Real":
             return float(value)
         if not math.isfinite(value) or value != int(value) or not -(2**31) <= value < 2**31:

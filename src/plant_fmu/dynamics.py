@@ -10,6 +10,7 @@ Standard library only: this module travels inside the Python FMU.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import cos, sin
 from typing import NamedTuple
 
@@ -76,7 +77,7 @@ def static_current(c: Coefficients, voltage: float, theta_dot: float) -> float:
     return (voltage - c.k_e * theta_dot) / c.R_m
 
 
-def derivative_static(c: Coefficients, x: State, voltage: float, tau_p: float) -> State:
+def derivative_static(c: Coefficients, x: Sequence[float], voltage: float, tau_p: float) -> State:
     """Return x' for x = (theta, delta, theta', delta') with the static motor of section III."""
     _, delta, theta_dot, delta_dot = x
     tau = c.k_m * (voltage - c.k_e * theta_dot) / c.R_m
@@ -84,7 +85,7 @@ def derivative_static(c: Coefficients, x: State, voltage: float, tau_p: float) -
     return theta_dot, delta_dot, theta_ddot, delta_ddot
 
 
-def derivative_inductance(c: Coefficients, x: State, voltage: float, tau_p: float) -> State:
+def derivative_inductance(c: Coefficients, x: Sequence[float], voltage: float, tau_p: float) -> State:
     """Return x' for x = (theta, delta, theta', delta', i) with L_m i' = V - R_m i - k_e theta'."""
     _, delta, theta_dot, delta_dot, current = x
     theta_ddot, delta_ddot = accelerations(c, delta, theta_dot, delta_dot, c.k_m * current, tau_p)

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
-from functools import partial
 from typing import Any
 
 from . import dynamics, sensors
@@ -70,7 +69,11 @@ class QubePlant:
         if self.delay:
             self._count_delay(step)
         derivative = dynamics.derivative_inductance if self.inductance else dynamics.derivative_static
-        f = partial(derivative, self.coefficients, voltage=applied, tau_p=tau_p)
+        c = self.coefficients
+
+        def f(x: Sequence[float]) -> dynamics.State:
+            return derivative(c, x, applied, tau_p)
+
         x = self.x
         try:
             for _ in range(count):

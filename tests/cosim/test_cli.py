@@ -165,7 +165,7 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
     [
         (("run", "nowhere.toml"), "scenario file nowhere.toml does not exist"),
         (("run", "tilt", "--fmus", "nowhere"), "FMU nowhere/IhcController.fmu does not exist; `qube-ihc export`"),
-        (("compare", "tilt", "--fmus", "nowhere"), "FMU nowhere/QubeServo2.fmu does not exist; `qube-ihc export`"),
+        (("compare", "tilt", "--fmus", "nowhere"), "FMU nowhere/IhcController.fmu does not exist; `qube-ihc export`"),
         (("run", "tilt", "--set", "run.duration"), "--set takes NAME=VALUE, found 'run.duration'"),
         (("run", "tilt", "--set", "run.durration=1"), "tilt: there is no entry run.durration; did you mean duration?"),
         (("run", "tilt", "--set", "run.step=nan"), "tilt: run.step must be a finite number, found nan"),
@@ -181,6 +181,10 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
             "controller.law must be one of LC, SMC, IHC, found 'PID'",
         ),
         (("compare", "tilt", "--laws", "LC,LC"), "--laws must be different ones of LC, SMC, IHC, found 'LC,LC'"),
+        (("run", "tilt", "--set", "controller.start.j_max=nan"), "controller.j_max must be finite, found nan"),
+        (("run", "tilt", "--set", "controller.start.j_max=inf"), "controller.j_max must be finite, found inf"),
+        (("run", "tilt", "--set", "plant.start.m_p=[1]"), "tilt: plant.start.m_p must be a number, true, false or a name, found [1]"),
+        (("export", "--set", "plant.m_p=[1]"), "m_p must be a number, found [1]"),
         (("export", "--design", "nowhere.json"), "design file nowhere.json does not exist"),
         (("export", "--set", "a_min=1"), "--set must name plant.VARIABLE or controller.VARIABLE, found 'a_min'"),
         (("export", "--set", "plant.delta_0=inf"), "delta_0 must be finite, found inf"),
@@ -319,14 +323,69 @@ def loads_the_plant(pid):
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
 def test_an_interrupted_comparison_ends_with_code_130_and_leaves_no_process(elsewhere):
-    process = started("compare", "tilt", "--set", "run.duration=2", "--workers", "2", cwd=elsewhere)
+    process = started("compare", "tilt", "--set", "run.duration=1", "--workers", "2", cwd=elsewhere)
     try:
-        wait_until(lambda: sum(map(loads_the_plant, session(process.pid))) == 2)
+        wait_until(lambda: any(map(loads_the_plant, session(process.pid))))
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=60)
     finally:
         process.kill()
     assert process.returncode == 130
     assert "Traceback" not in err
     wait_until(lambda: session(process.pid) == [], 5.0)
     assert not (elsewhere / "results").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
+@pytest.mark.parametrize("moment", [0.3, 0.41, 0.52])
+def test_an_interrupted_run_ends_with_code_130_and_leaves_its_rows(elsewhere, moment):
+    process = started("run", "tilt", "--set", "run.duration=1000", "-o", "cut.csv", cwd=elsewhere)
+    try:
+        wait_until(lambda: loads_the_plant(process.pid))
+        time.sleep(moment)
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=10)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    result = Result.load(elsewhere / "cut.csv")
+    assert len(result.time) > 1
+    assert result.metadata["complete"] is False
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
+def test_an_interrupted_comparison_of_long_runs_ends_soon(elsewhere):
+    process = started("compare", "tilt", "--set", "run.duration=100", "--draws", "50", "--workers", "2", cwd=elsewhere)
+    try:
+        wait_until(lambda: any(map(loads_the_plant, session(process.pid))))
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=5)
+    finally:
+        for pid in session(process.pid):
+            os.kill(pid, signal.SIGKILL)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert session(process.pid) == []
+
+
+@pytest.mark.parametrize("outputs", [["mode", "voltage"], ["mode", "voltage", "homogeneous_norm"]])
+def test_a_run_that_records_too_little_for_metrics_is_no_failure(elsewhere, outputs):
+    recorded = json.dumps([f"controller.{name}" for name in outputs])
+    accepted("run", "tilt", *SHORT, "--set", f"record.outputs={recorded}", cwd=elsewhere)
+
+
+def test_an_output_that_is_no_csv_is_refused(elsewhere):
+    assert "cut.json" in refused("run", "tilt", *SHORT, "--no-plot", "-o", "cut.json", cwd=elsewhere)
+
+
+def test_a_comparison_takes_fmus_of_other_names(elsewhere):
+    for old, new in (("QubeServo2", "Mine"), ("IhcController", "Mine2")):
+        (elsewhere / "fmus" / f"{old}.fmu").rename(elsewhere / "fmus" / f"{new}.fmu")
+    (elsewhere / "mine.toml").write_text('[plant]\nfmu = "Mine.fmu"\n[controller]\nfmu = "Mine2.fmu"\n', "utf-8")
+    accepted("compare", "mine.toml", *SHORT, "--draws", "1", "--laws", "LC", "--workers", "1", cwd=elsewhere)
+
+
+def test_a_refused_export_writes_nothing(tmp_path):
+    assert refused("export", "--set", "controller.a_min=inf", cwd=tmp_path) == "a_min must be finite, found inf"
+    assert files(tmp_path) == []

@@ -9,6 +9,7 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.experiments import Comparison, Draw, Study, compare
+from cosim.master import SimulationError
 from cosim.metrics import NAMES, Metrics, evaluate
 from cosim.results import Result
 from cosim.scenario import Scenario, load_scenario, run_scenario
@@ -144,7 +145,7 @@ def swing_ups(fmus):
     scenario, folder = load_scenario("swing_up")
 
     def run(law, seed):
-        changes = {"controller.start.law": law, "run.seed": seed, **FILTER}
+        changes = {"controller.start.law": law, "run.seed": seed, "run.duration": 7.0, **FILTER}
         return evaluate(run_scenario(scenario.changed(changes), fmus, folder))
 
     return {law: [run(law, seed) for seed in (1, 2, 3, 4)] for law in ("LC", "IHC")}
@@ -159,3 +160,10 @@ def test_the_swing_up_captures_once_and_soon(swing_ups):
 def test_with_encoders_and_filter_the_homogeneous_law_rests_closer_to_upright(swing_ups):
     rest = {law: np.mean([found.steady_rms for found in all_found]) for law, all_found in swing_ups.items()}
     assert rest["IHC"] < rest["LC"] < 0.02
+
+
+def test_a_run_that_fails_in_a_worker_fails_the_comparison_with_its_cause(study, fmus):
+    wrong = Study(study.scenario.changed({"controller.start.sample_time": 0.0015}), study.folder, SEEDS)
+    with pytest.raises(SimulationError, match="sample_time must be a multiple of the communication step") as failure:
+        compare([wrong], fmus, ("LC",), 1)
+    assert (failure.value.instance, failure.value.time, len(failure.value.result.time)) == ("controller", 0.0, 1)

@@ -137,9 +137,9 @@ def test_start_values_are_brought_into_their_type(controller, name, value, expec
         ("law", 4, "law must be one of LC, SMC, IHC, found 4"),
         ("law", 0, "law must be one of LC, SMC, IHC, found 0"),
         ("law", True, "law must be one of LC, SMC, IHC, found True"),
-        ("j_max", 2.5, "j_max must be an integer, found 2.5"),
-        ("j_max", "three", "j_max must be an integer, found 'three'"),
-        ("j_max", True, "j_max must be an integer, found True"),
+        ("j_max", 2.5, "j_max must be an integer of 32 bits, found 2.5"),
+        ("j_max", "three", "j_max must be a number, found 'three'"),
+        ("j_max", True, "j_max must be a number, found True"),
         ("j_max", 0, "j_max must lie in [1, 60]"),
         ("j_max", 61, "j_max must lie in [1, 60]"),
         ("enabled", 1, "enabled must be true or false, found 1"),
@@ -275,3 +275,9 @@ def test_closing_twice_and_before_the_start_is_harmless(tiny_fmu, running):
     instance = running("a")
     instance.close()
     instance.close()
+
+
+def test_percent_signs_in_messages_arrive_as_they_are(running):
+    instance = running("a", warn_at=1)  # tiny/slave.py then warns: f"told to warn, 100 % done %d, gain ..."
+    instance.stepper()(0.0, 0.1)
+    assert "told to warn, 100 % done %d, gain 1" in instance.messages[0]

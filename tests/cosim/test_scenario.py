@@ -171,7 +171,7 @@ def test_a_missing_scenario_is_named_with_those_there_are(tmp_path, monkeypatch)
         load_scenario("mine.toml")
     with pytest.raises(UserError, match=rf"built-in scenario 'tlit'; built in: {', '.join(BUILT_IN)}"):
         load_scenario("tlit")
-    with pytest.raises(UserError, match="does not exist"):
+    with pytest.raises(UserError, match="cannot be read: Is a directory"):
         load_scenario(str(tmp_path))
 
 
@@ -348,3 +348,8 @@ def test_the_disturbance_acts_on_the_plants_input(fmus):
     turned = run_scenario(Scenario().changed({**changes, "disturbance.input": "pendulum_torque"}), fmus)
     assert turned["plant.delta"][-1] != math.pi
     assert build_system(Scenario().changed({**changes, "disturbance.gain": 0.0}), fmus).signals == []
+
+
+def test_the_file_is_named_with_a_duration_that_does_not_fit(written):
+    with pytest.raises(UserError, match=r"mine\.toml: .*duration must be a multiple of the step, found 10000\.001 s"):
+        load_scenario(written("[run]\nstep = 3e-3\nduration = 10000.001"))

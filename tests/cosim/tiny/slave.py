@@ -27,7 +27,7 @@ class TinyUnit:
             raise RuntimeError(f"told to fail in call {calls}")
         self.state |= {"y": self.values["gain"] * u, "time_seen": time, "calls": calls}
         self.state |= {"whole_out": whole, "flag_out": flag}
-        return [f"told to warn, gain {self.values['gain']:g}"] if calls == self.values["warn_at"] else []
+        return [f"told to warn, 100 % done %d, gain {self.values['gain']:g}"] if calls == self.values["warn_at"] else []
 
     def outputs(self) -> tuple[Any, ...]:
         return tuple(self.state.values())
