@@ -436,9 +436,12 @@ def _progress() -> Progress:
     return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
 
 
+DEMO = {"swing_up": 3, "tilt": 5, "tilt_kalman": 3, "tilt_ideal": 0}
+"""The demonstration's scenarios, and their draws of the encoder offsets."""
+
+
 @app.command()
 def demo(
-    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets per law and scenario.")] = 5,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
     fmus: FmusOption = Path("fmus"),
 ) -> None:
@@ -462,8 +465,7 @@ def demo(
         "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
     )
     studies = []
-    for name in ("swing_up", "tilt", "tilt_kalman", "tilt_ideal"):
+    for name, draws in DEMO.items():
         chosen, folder = load_scenario(name)
-        seeds = () if chosen.plant.measurement == "ideal" else range(1, draws + 1)
-        studies.append(Study(chosen, folder, seeds))
+        studies.append(Study(chosen, folder, range(1, draws + 1)))
     _compare(studies, fmus, output, list(LAWS))

@@ -77,8 +77,9 @@ def _homogeneous_norm(result: Result) -> np.ndarray:
 
 def _angles(results: Mapping[str, Result]) -> Figure:
     figure, (top, bottom), ribbon = _with_ribbon(2, results)
-    for axis, name, label in ((top, "theta", "arm $\\theta$ [rad]"), (bottom, "delta", "pendulum $\\delta$ [rad]")):
-        inset = axis.inset_axes((0.45, 0.3, 0.53, 0.45))
+    panels = ((top, "theta", "arm $\\theta$ [rad]", 0.4), (bottom, "delta", "pendulum $\\delta$ [rad]", 0.57))
+    for axis, name, label, height in panels:
+        inset = axis.inset_axes((0.45, height, 0.53, 0.4))
         for law, result in results.items():
             axis.plot(result.time, _angle(result, name), color=COLOURS.get(law), lw=1.1, label=law)
             late = result.time >= 0.6 * result.time[-1]

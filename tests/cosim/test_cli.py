@@ -24,7 +24,7 @@ OPTIONS = {
     "export": ["--design", "--parameters", "--nominal", "--smc", "--output", "-o", "--set"],
     "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot"],
     "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set"],
-    "demo": ["--draws", "--output", "-o", "--fmus"],
+    "demo": ["--output", "-o", "--fmus"],
 }
 SHORT = ("--set", "run.duration=0.3")
 
@@ -183,7 +183,10 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
         (("compare", "tilt", "--laws", "LC,LC"), "--laws must be different ones of LC, SMC, IHC, found 'LC,LC'"),
         (("run", "tilt", "--set", "controller.start.j_max=nan"), "controller.j_max must be finite, found nan"),
         (("run", "tilt", "--set", "controller.start.j_max=inf"), "controller.j_max must be finite, found inf"),
-        (("run", "tilt", "--set", "plant.start.m_p=[1]"), "tilt: plant.start.m_p must be a number, true, false or a name, found [1]"),
+        (
+            ("run", "tilt", "--set", "plant.start.m_p=[1]"),
+            "tilt: plant.start.m_p must be a number, true, false or a name, found [1]",
+        ),
         (("export", "--set", "plant.m_p=[1]"), "m_p must be a number, found [1]"),
         (("export", "--design", "nowhere.json"), "design file nowhere.json does not exist"),
         (("export", "--set", "a_min=1"), "--set must name plant.VARIABLE or controller.VARIABLE, found 'a_min'"),
