@@ -78,7 +78,9 @@ class Variable:
             if not isinstance(value, int | float) or value not in (0, 1):
                 raise ValueError(f"{self.name} must be true or false, found {value}")
             return bool(value)
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool):
+            raise ValueError(f"{self.name} must be of type {self.type}, found {str(value).lower()}")
+        if not isinstance(value, int | float):
             raise ValueError(f"{self.name} must be a number, found {value}")
         if self.type == "Real":
             return float(value)
