@@ -306,7 +306,7 @@ def run(
 ) -> None:
     """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
 
-    A run that fails or is interrupted leaves what was recorded until then.
+    A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from .master import Interrupted, SimulationError
     from .metrics import can_evaluate, evaluate
@@ -325,8 +325,9 @@ def run(
             )
         except (SimulationError, Interrupted) as stopped:
             if len(stopped.result.time):
-                stopped.result.save(path)
-                bar.console.print(f"wrote what was recorded until then, {len(stopped.result.time)} rows, to {path}")
+                partial = path.with_suffix(".partial.csv")  # an earlier complete result stays
+                stopped.result.save(partial)
+                bar.console.print(f"wrote what was recorded until then, {len(stopped.result.time)} rows, to {partial}")
             raise
     _warn_of_messages(result)
     result.save(path)
@@ -337,7 +338,8 @@ def run(
         console.print(f"wrote {save_overview(result, path.with_suffix('.png'), chosen.description or chosen.name)}")
     if can_evaluate(result):
         for name, value in evaluate(result).as_dict().items():
-            console.print(f"  {name:14} {_number(value)} {METRIC_UNITS[name]}")
+            unit = "" if math.isnan(value) else METRIC_UNITS[name]
+            console.print(f"  {name:14} {_number(value)} {unit}".rstrip())
 
 
 METRIC_UNITS = {

@@ -65,8 +65,10 @@ class Design:
         n = len(b)
         for name, shape in (("k_lin", (n,)), ("P", (n, n))):
             value = np.array(getattr(self, name), dtype=float)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise ValueError(f"{name} must be finite and of shape {shape}, found shape {value.shape}")
+            if value.shape != shape:
+                raise ValueError(f"{name} must be of shape {shape} to fit A, found shape {value.shape}")
+            if not np.isfinite(value).all():
+                raise ValueError(f"{name} must be finite, found {value[~np.isfinite(value)][0]}")
             object.__setattr__(self, name, value)
         _check_scalars(self.mu, self.alpha, self.psi, self.d_max, self.tau)
         form = chain_form(A, b)

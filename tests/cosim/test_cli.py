@@ -264,9 +264,9 @@ def test_a_run_that_fails_ends_with_code_1_and_leaves_its_rows(elsewhere):
     done = qube_ihc("run", "tilt", "--set", "plant.start.D_r=1", "-o", "failed.csv", cwd=elsewhere)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
-    last, result = done.stderr.strip().splitlines()[-1], Result.load(elsewhere / "failed.csv")
+    last, result = done.stderr.strip().splitlines()[-1], Result.load(elsewhere / "failed.partial.csv")
     assert re.match(r"error: at t = [\d.e-]+ s: plant: doStep\(", last)
-    assert f"{len(result.time)} rows, to failed.csv" in done.stdout + done.stderr
+    assert f"{len(result.time)} rows, to failed.partial.csv" in done.stdout + done.stderr
     assert 2 <= len(result.time) < 100
     assert result.metadata["complete"] is False
     assert "Traceback" in "".join(result.metadata["messages"]["plant"])
@@ -352,7 +352,7 @@ def test_an_interrupted_run_ends_with_code_130_and_leaves_its_rows(elsewhere, mo
         process.kill()
     assert process.returncode == 130, err
     assert "Traceback" not in err
-    result = Result.load(elsewhere / "cut.csv")
+    result = Result.load(elsewhere / "cut.partial.csv")
     assert len(result.time) > 1
     assert result.metadata["complete"] is False
 

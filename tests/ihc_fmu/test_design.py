@@ -225,7 +225,7 @@ def test_requests_that_no_design_can_meet_are_refused(paper, design):
         inverse_design(A, b, k_lin, Options(delta_max=0.1, index=4))
     with pytest.raises(ValueError, match="a direct design needs u_max"):
         direct_design(A, b, Options(u_max=None, delta_max=0.1))
-    with pytest.raises(ValueError, match=r"P must be finite and of shape \(4, 4\), found shape \(2, 2\)"):
+    with pytest.raises(ValueError, match=r"P must be of shape \(4, 4\) to fit A, found shape \(2, 2\)"):
         Design(A, b, k_lin, np.eye(2), 1.0, 0.1)
     with pytest.raises(ValueError, match="cannot be rescaled"):
         Design(A, b, k_lin, design.P, 1.0, 0.1, psi=1e-12).scaled_to(u_max=1.0)
