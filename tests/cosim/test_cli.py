@@ -126,7 +126,7 @@ def test_design_export_run_compare(tmp_path):
     assert result.metadata["scenario"]["run"]["seed"] == 7
     for name, value in evaluate(result).as_dict().items():
         expected = "never" if math.isnan(value) else f"{value:.4g}"
-        assert re.search(rf"^  {name} +{re.escape(expected)} ", said, re.MULTILINE), name
+        assert re.search(rf"^  {name} +{re.escape(expected)}( |$)", said, re.MULTILINE), name
 
     options = ("--draws", "1", "--laws", "IHC, LC", "--workers", "1", "-o", "compared")
     said = accepted("compare", "tilt", *SHORT, *options, cwd=tmp_path)
