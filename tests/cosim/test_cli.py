@@ -363,7 +363,7 @@ def test_an_interrupted_comparison_of_long_runs_ends_soon(elsewhere):
     try:
         wait_until(lambda: any(map(loads_the_plant, session(process.pid))))
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=5)
+        _, err = process.communicate(timeout=10)
         wait_until(lambda: session(process.pid) == [], 5.0)  # no worker goes on
     finally:
         for pid in session(process.pid):
