@@ -19,7 +19,9 @@ lint: $(VENV)/installed
 bench: $(VENV)/installed   ## steps per second against FMPy's own simulate_ssp
 	$(BIN)/python benchmarks/python_pair.py
 
-$(VENV)/installed: pyproject.toml
+SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_export/adapter/*.[ch] cosim/native/*.[ch])
+
+$(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from PyPI
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	touch $@

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from fmpy.ssp.simulation import simulate_ssp
 
-from cosim.cli import _export
+from cosim.export import Kind, export_units
 from cosim.master import simulate
 from cosim.scenario import build_system, load_scenario
 from ihc_fmu.start_values import default_design
@@ -31,7 +31,7 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         fmus = Path(folder)
-        ssp = _export(default_design(), "ident", "ident", fmus)[-1]
+        ssp = export_units(default_design(), output=fmus, kind=Kind.python)[-1]
         scenario, _ = load_scenario("swing_up")
         system = build_system(scenario.changed({"run.seed": None}), fmus)
         duration = arguments.steps * STEP

@@ -6,6 +6,7 @@ import math
 import sys
 import tomllib
 from collections.abc import Iterable
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +17,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from .errors import UserError
+from .export import Kind, Smc, export_units
 
 SCENARIOS = Path(__file__).parent / "scenarios"
 
@@ -61,20 +63,15 @@ class Method(StrEnum):
     direct = "direct"
 
 
-class Smc(StrEnum):
-    """Which sliding mode controller the FMU carries."""
-
-    fitted = "fitted"
-    linear_poles = "linear-poles"
-
-
 def main() -> None:
     """Run the command line; a user's mistake is one sentence and exit code 2, a failed run 1, Ctrl-C 130."""
+    from fmu_export.native_build import BuildError
+
     from .master import SimulationError
 
     try:
         app()
-    except (SimulationError, ArithmeticError) as error:
+    except (SimulationError, ArithmeticError, BuildError) as error:
         _say_error(error)
         sys.exit(FAILED)
     except (UserError, ValueError, OSError) as error:
@@ -209,11 +206,21 @@ def export(
             help="Change a start value, e.g. `controller.a_min=0.7` or `plant.encoder_counts=0`; may be repeated.",
         ),
     ] = None,
+    kind: Annotated[
+        Kind, typer.Option(help="native: compiled, runs everywhere; python: the same in Python, for Python hosts.")
+    ] = Kind.native,
+    platforms: Annotated[
+        str | None,
+        typer.Option(
+            help="Platforms of native FMUs, separated by commas: linux64, aarch64-linux, win64, darwin64, or `all`; "
+            "none: this machine's. Others are compiled now, which the first time takes minutes."
+        ),
+    ] = None,
 ) -> None:
-    """Export plant and controller as FMUs (FMI 2.0 co-simulation), and both with their wires as one SSP file.
+    """Export plant and controller as FMUs (FMI 2.0), and both with their wires as one SSP file.
 
-    A design or a parameter set only changes start values. `fmpy info FILE` shows them; each FMU carries its
-    documentation. These FMUs run in Python hosts.
+    A design or a parameter set only changes start values, so that nothing is compiled. `fmpy info FILE` shows them; each
+    FMU carries its documentation. Native FMUs run without Python, the plant also for model exchange.
     """
     from ihc_fmu.start_values import default_design
 
@@ -224,7 +231,12 @@ def export(
             raise UserError(f"--set must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
         changes[unit][variable] = value
     found = default_design() if design is None else _load_design(design)
-    for path in _export(found, parameters, nominal, output, changes, smc):
+    if platforms is not None and kind is Kind.python:
+        raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
+    names = None if platforms is None else [name.strip() for name in platforms.split(",")]
+    with console.status("building") if names else nullcontext():
+        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names)
+    for path in paths:
         console.print(f"wrote {path}")
 
 
@@ -234,50 +246,6 @@ def _load_design(path: Path) -> Design:
     if not path.is_file():
         raise UserError(f"design file {path} does not exist")
     return Design.load(path)
-
-
-def _export(
-    found: Design,
-    parameters: str,
-    nominal: str,
-    output: Path,
-    changes: dict[str, dict[str, Any]] | None = None,
-    smc: Smc = Smc.fitted,
-) -> list[Path]:
-    from fmu_export.python_fmu import export_python_fmu
-    from fmu_export.ssp import write_ssp
-    from ihc_fmu.documentation import notes as controller_notes
-    from ihc_fmu.slave import IhcController
-    from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
-    from ihc_fmu.start_values import controller_start_values
-    from plant_fmu.documentation import notes as plant_notes
-    from plant_fmu.interface import start_values as plant_start_values
-    from plant_fmu.slave import QubeServo2
-
-    from .scenario import WIRES
-
-    changes = changes or {"plant": {}, "controller": {}}
-    A, b, k_lin = found.A, found.b, found.k_lin
-    sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
-    plant_start = plant_start_values(parameters) | changes["plant"]
-    controller_start = controller_start_values(found, nominal, sliding) | changes["controller"]
-    for slave, start in ((QubeServo2, plant_start), (IhcController, controller_start)):
-        slave.unit_class(slave.interface.start_values(start))  # refuse both before writing either
-    plant = export_python_fmu(
-        QubeServo2,
-        output / "QubeServo2.fmu",
-        plant_start,
-        plant_notes(parameters),
-    )
-    controller = export_python_fmu(
-        IhcController,
-        output / "IhcController.fmu",
-        controller_start,
-        controller_notes(found, nominal),
-    )
-    wires = [(w.source, w.target) for w in WIRES["encoders"]]
-    system = write_ssp(output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires)
-    return [plant, controller, system]
 
 
 def _assignments(items: list[str] | None) -> list[tuple[str, Any]]:
@@ -302,6 +270,12 @@ def run(
     ] = None,
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            help="Loop: `native` (C) or `fmpy` (Python), to the same result; `auto`: native unless an FMU is Python."
+        ),
+    ] = None,
     plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
 ) -> None:
     """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
@@ -313,7 +287,8 @@ def run(
     from .scenario import load_scenario, run_scenario
 
     chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed(dict(_assignments(change)))
+    changes = dict(_assignments(change)) | ({} if engine is None else {"run.engine": engine})
+    chosen = chosen.changed(changes)
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
@@ -461,7 +436,7 @@ def demo(
         f"   certified: decrease margin {margins.decrease:.2g} 1/s, monotonicity {margins.monotone:.3g}, P > 0"
     )
     console.print("2. export")
-    for path in _export(found, "ident", "ident", fmus):
+    for path in export_units(found, output=fmus):
         console.print(f"   {path}")
     console.print(
         "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"

@@ -8,11 +8,12 @@ import math
 import os
 import shutil
 import tempfile
+import threading
 import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from weakref import WeakValueDictionary
 
 import fmpy
@@ -30,6 +31,12 @@ Value = float | int | bool
 _STATUS = ("OK", "warning", "discard", "error", "fatal", "pending")
 _FATAL = 4
 _MESSAGES_KEPT = 200
+
+_loading = threading.Lock()
+"""FMPy changes the process's folder while it loads a library."""
+
+_idle: dict[tuple[str, str], list[Any]] = {}
+"""FMPy's loaded libraries without an instance, by folder and model identifier: loading costs more than a short run."""
 
 _unpacked: dict[tuple[str, int, int], tuple[str, ModelDescription]] = {}
 
@@ -64,24 +71,28 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     except FileNotFoundError:
         raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
-    if key not in _unpacked:
-        if not zipfile.is_zipfile(path):
-            raise UserError(f"{path} is not an FMU: it is not a zip file")
-        folder = tempfile.mkdtemp(prefix="qube-ihc-")
-        atexit.register(shutil.rmtree, folder, ignore_errors=True)
-        if "%" in Path(folder).as_uri().replace("%20", ""):  # PythonFMU's wrapper cannot read other escapes
-            raise UserError(
-                f"the temporary folder (TMPDIR) must be named in plain letters to hold FMUs, found {folder}"
-            )
-        try:
-            description = fmpy.read_model_description(str(path))
-            fmpy.extract(str(path), unzipdir=folder)
-        except Exception as error:  # FMPy raises bare exceptions of many kinds
-            raise UserError(f"{path} is not a valid FMU: {error}") from None
-        if description.fmiVersion != "2.0" or description.coSimulation is None:
-            raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
-        _unpacked[key] = (folder, description)
+    with _loading:
+        if key not in _unpacked:
+            _unpacked[key] = _unpack(path)
     return _unpacked[key]
+
+
+def _unpack(path: Path) -> tuple[str, ModelDescription]:
+    if not zipfile.is_zipfile(path):
+        raise UserError(f"{path} is not an FMU: it is not a zip file")
+    folder = tempfile.mkdtemp(prefix="qube-ihc-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    try:
+        description = fmpy.read_model_description(str(path))
+        fmpy.extract(str(path), unzipdir=folder)
+    except Exception as error:  # FMPy raises bare exceptions of many kinds
+        raise UserError(f"{path} is not a valid FMU: {error}") from None
+    if description.fmiVersion != "2.0" or description.coSimulation is None:
+        raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
+    escapes = "%" in Path(folder).as_uri().replace("%20", "")
+    if description.coSimulation.needsExecutionTool and escapes:  # PythonFMU's wrapper cannot read them
+        raise UserError(f"the temporary folder (TMPDIR) must be named in plain letters for Python FMUs, found {folder}")
+    return folder, description
 
 
 def as_value(variable: ScalarVariable, value: Value | str) -> Value:
@@ -143,7 +154,8 @@ class Instance:
     def __post_init__(self) -> None:
         self._folder, self.description = describe(self.path)
         assert self.description.coSimulation is not None  # `describe` refuses others
-        self.model_identifier = self.description.coSimulation.modelIdentifier
+        self.model_identifier = self.description.coSimulation.modelIdentifier or ""
+        self._key = (self._folder, self.model_identifier)
         self.variables = {v.name: v for v in self.description.modelVariables}
 
     def variable(self, name: str) -> ScalarVariable:
@@ -206,7 +218,14 @@ class Instance:
         for port in ports:
             status = port.call(self._fmu.component, port.references, len(port.names), port.values)
             if status > 1:
-                self._fail(port.function, status)
+                self.fail(port.function, status)
+
+    def pointers(self) -> tuple[int, int]:
+        """Return the addresses of the component and of its fmi2DoStep."""
+        component = self._fmu.component
+        address = ctypes.cast(self._fmu.dll["fmi2DoStep"], ctypes.c_void_p).value
+        assert address is not None
+        return component if isinstance(component, int) else component.value, address
 
     def stepper(self) -> Callable[[float, float], None]:
         """Return doStep(time, step); it raises FmuError where the FMU does not return OK or a warning."""
@@ -218,7 +237,7 @@ class Instance:
         def step(time: float, size: float) -> None:
             status = call(component, time, size, 1)
             if status > 1:
-                self._fail(f"doStep({time!r}, {size!r})", status)
+                self.fail(f"doStep({time!r}, {size!r})", status)
 
         return step
 
@@ -234,23 +253,33 @@ class Instance:
                 self.messages.append(f"terminate: {error}")
                 if error.status == _FATAL:
                     return
-        self._fmu.fmi2FreeInstance(self._fmu.component)  # the library stays loaded for the next run
+        self._fmu.fmi2FreeInstance(self._fmu.component)
+        _idle[self._key].append(self._fmu)
 
     def _instantiate(self) -> None:
+        with _loading:
+            self._load()
+        self._alive = True
+
+    def _load(self) -> None:
+        idle = _idle.setdefault(self._key, [])
         where = Path.cwd()
         try:
-            self._fmu = fmpy.fmi2.FMU2Slave(
-                guid=self.description.guid,
-                unzipDirectory=self._folder,
-                modelIdentifier=self.model_identifier,
-                instanceName=self.name,
-            )
+            self._fmu = idle.pop() if idle else self._loaded()
+            self._fmu.instanceName = self.name
             self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
         except Exception as error:
             raise FmuError(f"{self.name} ({self.path}): {error}{self._log_text()}") from None
         finally:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
-        self._alive = True
+
+    def _loaded(self) -> Any:
+        return fmpy.fmi2.FMU2Slave(
+            guid=self.description.guid,
+            unzipDirectory=self._folder,
+            modelIdentifier=self.model_identifier,
+            instanceName=self.name,
+        )
 
     def _callbacks(self) -> Any:
         _instances[id(self)] = self
@@ -266,9 +295,10 @@ class Instance:
         try:
             function(*args, **kwargs)
         except fmpy.fmi1.FMICallException as error:
-            self._fail(what, error.status)
+            self.fail(what, error.status)
 
-    def _fail(self, what: str, status: int) -> None:
+    def fail(self, what: str, status: int) -> NoReturn:
+        """Raise FmuError for the call `what` that returned `status`."""
         if status == _FATAL:
             self._alive = False
         raise FmuError(f"{self.name}: {what} returned {_STATUS[status]}{self._log_text()}")

@@ -24,13 +24,18 @@ from fmu_export.variables import did_you_mean
 
 from .errors import UserError
 from .fmu import FmuError, Instance, Port, Value
+from .native_loop import NativeLoop, needs_python
 from .results import Result, versions
 
 Order = Literal["controller-first", "parallel"]
 ORDERS: tuple[str, ...] = get_args(Order)
 
+Engine = Literal["auto", "native", "fmpy"]
+ENGINES: tuple[str, ...] = get_args(Engine)
+"""Which loop steps the FMUs: that in C, or FMPy's functions called from Python; `auto` takes C unless an FMU is Python."""
+
 PROGRESS_EVERY = 256
-"""Steps between two reports of progress."""
+"""Steps between two reports of progress by the loop in Python."""
 
 MOST_STEPS = 10**9
 """Steps of the longest run."""
@@ -206,10 +211,10 @@ class _Recorder:
     def __init__(self, exchange: _Exchange, names: Sequence[str], rows: int) -> None:
         self.names, self.exchange, self.rows = names, exchange, 0
         self.time = np.zeros(rows)
-        buffers = {id(buffer): buffer for buffer, _ in exchange.recorded}
-        self.views = {key: np.ctypeslib.as_array(buffer) for key, buffer in buffers.items()}
+        self.buffers = {id(buffer): buffer for buffer, _ in exchange.recorded}
+        self.views = {key: np.ctypeslib.as_array(buffer) for key, buffer in self.buffers.items()}
         self.tables = {key: np.zeros((rows, len(view)), dtype=view.dtype) for key, view in self.views.items()}
-        self.copies = [(self.tables[key], self.views[key]) for key in buffers]
+        self.copies = [(self.tables[key], self.views[key]) for key in self.buffers]
 
     def record(self, time: float) -> None:
         row = self.rows
@@ -232,6 +237,7 @@ def simulate(
     duration: float,
     order: Order = "controller-first",
     *,
+    engine: Engine = "auto",
     start_time: float = 0.0,
     record: Sequence[str] | None = None,
     every: int = 1,
@@ -241,16 +247,21 @@ def simulate(
     """Run `system` for `duration` [s] at the fixed communication `step` [s]; return what was recorded.
 
     `record` names the outputs to record, all for None; `every` records each n-th communication point besides the first
-    and the last. `progress(done, total)` is called with steps. Raises UserError before anything runs for what cannot
+    and the last. `progress(done, total)` is called with steps. Both engines make the same calls and give the same result to
+    the last bit. Raises UserError before anything runs for what cannot
     work, SimulationError where an FMU fails and Interrupted on Ctrl-C, both with what was recorded.
     """
     steps = step_count(step, duration)
     if order not in ORDERS:
         raise UserError(f"order must be one of {', '.join(ORDERS)}, found {order!r}")
+    if engine not in ENGINES:
+        raise UserError(f"engine must be one of {', '.join(ENGINES)}, found {engine!r}")
     if every < 1:
         raise UserError(f"every must be at least 1, found {every}")
     coupling = Coupling(system)
     recorded = coupling.checked_outputs(record)
+    if engine == "auto":
+        engine = "fmpy" if needs_python(coupling.instances) else "native"
     about = {
         "versions": dict(versions()),
         "fmus": {
@@ -260,13 +271,14 @@ def simulate(
         "start_values": coupling.start,
         "wires": [[w.source, w.target] for w in system.wires],
         "order": order,
+        "engine": engine,
         "step": step,
         "every": every,
         "complete": False,
         **(metadata or {}),
     }
     run = _Run(coupling, recorded, steps, every, about)
-    return run.execute(step, start_time, order, progress)
+    return run.execute(step, start_time, order, engine, progress)
 
 
 @contextmanager
@@ -294,13 +306,19 @@ class _Run:
         self.interrupt: list[int] = []
 
     def execute(
-        self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None
+        self,
+        step: float,
+        start_time: float,
+        order: Order,
+        engine: Engine,
+        progress: Callable[[int, int], None] | None,
     ) -> Result:
         self.time = start_time
+        loop = self._native_loop if engine == "native" else self._python_loop
         try:
             with _deferred_interrupt() as self.interrupt:
                 self._start(start_time, start_time + self.steps * step)
-                self._loop(step, start_time, order, progress)
+                loop(step, start_time, order, progress)
             self.about["complete"] = True
         except FmuError as error:
             where = f"at t = {self.time:.9g} s: "
@@ -332,7 +350,38 @@ class _Run:
         self.recorder = _Recorder(exchange, self.recorded, self.steps // self.every + 2)
         self.recorder.record(start_time)
 
-    def _loop(self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None) -> None:
+    def _native_loop(
+        self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None
+    ) -> None:
+        assert self.recorder is not None
+        exchange, recorder, instances = self.exchange, self.recorder, self.coupling.instances
+        names = list(instances)
+        loop = NativeLoop(
+            [instances[n] for n in names],
+            [exchange.inputs[n] for n in names],
+            [exchange.outputs[n] for n in names],
+            [[((a, i), (b, j)) for a, i, b, j in exchange.copies[n]] for n in names],
+            [[(function, (b, j)) for function, b, j in exchange.drives[n]] for n in names],
+            [(recorder.buffers[key], table) for key, table in recorder.tables.items()],
+            recorder.time,
+        )
+        parallel = order == "parallel"
+        for done in loop.advance(start_time, step, self.steps, self.every, recorder.rows, parallel=parallel):
+            recorder.rows = loop.run.recorded
+            self.time = start_time + done * step
+            if progress is not None:
+                progress(done, self.steps)
+            if self.interrupt and done < self.steps:
+                raise KeyboardInterrupt
+        failure = loop.failure()
+        if failure is not None:
+            index, what, status = failure
+            self.current = names[index]
+            instances[names[index]].fail(what, status)
+
+    def _python_loop(
+        self, step: float, start_time: float, order: Order, progress: Callable[[int, int], None] | None
+    ) -> None:
         assert self.recorder is not None
         exchange, recorder = self.exchange, self.recorder
         stages = [

@@ -16,7 +16,7 @@ from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
 from .errors import UserError
-from .master import Component, Order, Signal, System, Wire, step_count
+from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .results import Result
 
 BUILT_IN = Path(__file__).parent / "scenarios"
@@ -51,6 +51,10 @@ class RunSection(_Section):
     duration: Positive = Field(10.0, description="duration, a multiple of the step [s]")
     order: Order = Field(
         "controller-first", description="coupling order: controller-first (no delay) or parallel (one step)"
+    )
+    engine: Engine = Field(
+        "auto",
+        description="loop: native (C) or fmpy (Python), to the same result; auto: native unless an FMU is Python",
     )
     seed: int | None = Field(
         None,
@@ -252,6 +256,7 @@ def run_scenario(
         run.step,
         run.duration,
         run.order,
+        engine=run.engine,
         record=scenario.record.outputs,
         every=scenario.record.every,
         metadata={"scenario": scenario.model_dump(mode="json")},

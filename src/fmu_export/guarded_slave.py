@@ -47,7 +47,7 @@ class Unit(Protocol):
         ...
 
     def outputs(self) -> tuple[Value, ...]:
-        """Return the outputs in the order of the interface."""
+        """Return outputs and local variables in the order of the interface."""
         ...
 
     def get_state(self) -> dict[str, Any]:
@@ -81,11 +81,11 @@ def _as_format(message: str) -> str:
     return message.replace("%", "%%")
 
 
-def code_digest(resources: Path, package: str) -> str:
-    """Return the SHA-256 of the bundled package's Python files, by name and content."""
+def code_digest(code: Mapping[str, bytes]) -> str:
+    """Return the SHA-256 of Python files, by name and content."""
     digest = hashlib.sha256()
-    for file in sorted((resources / package).rglob("*.py")):
-        digest.update(file.relative_to(resources / package).as_posix().encode() + b"\0" + file.read_bytes() + b"\0")
+    for name in sorted(code):
+        digest.update(name.encode() + b"\0" + code[name] + b"\0")
     return digest.hexdigest()
 
 
@@ -124,7 +124,7 @@ class GuardedSlave(Fmi2Slave):
             for kind, kinds in (("Real", {"Real"}), ("Integer", {"Integer", "Enumeration"}), ("Boolean", {"Boolean"}))
         }
         self._inputs = [self._vr[v.name] for v in self.interface.of("input")]
-        self._outputs = [self._vr[v.name] for v in self.interface.of("output")]
+        self._outputs = [self._vr[v.name] for v in self.interface.calculated]
         self._real_inputs = {vr: self._variables[vr] for vr in self._inputs if self._variables[vr].type == "Real"}
         self._phase = "instantiated"
         self._experiment_set = False
@@ -278,7 +278,8 @@ class GuardedSlave(Fmi2Slave):
         running = type(self).__module__.split(".")[0]
         if running != package:
             raise ImportError(f"{self.instance_name}: this FMU bundles {package}, but Python runs {running}")
-        digest = code_digest(resources, package)
+        folder = resources / package
+        digest = code_digest({f.relative_to(folder).as_posix(): f.read_bytes() for f in folder.rglob("*.py")})
         if digest != manifest["code_digest"]:
             raise ImportError(
                 f"{self.instance_name}: the code in {package} is not the code that was exported "
@@ -337,7 +338,7 @@ class GuardedSlave(Fmi2Slave):
             self._unit.set_state(state)
 
     def _check_settable(self, variable: Variable) -> None:
-        if variable.causality == "output":
+        if variable.calculated:
             raise ValueError(f"{variable.name} is an output and cannot be set")
         if self._phase == "terminated" or (self._phase == "step" and variable.variability == "fixed"):
             raise ValueError(

@@ -25,6 +25,7 @@ UNITS: dict[str, dict[str, int]] = {
     "N.m/V": {"s": 1, "A": 1},
     "J": {"kg": 1, "m": 2, "s": -2},
     "A": {"A": 1},
+    "A/s": {"A": 1, "s": -1},
     "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
     "V/rad": {"kg": 1, "m": 2, "s": -3, "A": -1, "rad": -1},
     "V.s/rad": {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1},
@@ -37,12 +38,27 @@ DEGREES = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 /
 
 
 @dataclass(frozen=True, slots=True)
+class ModelExchange:
+    """What model exchange needs to know of a unit: its continuous states, and what depends on what.
+
+    `states` and their `derivatives` are names of variables, in order. `dependencies` maps outputs and derivatives to the
+    states and inputs that they depend on.
+    """
+
+    states: tuple[str, ...]
+    derivatives: tuple[str, ...]
+    dependencies: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
 class Capabilities:
     """What of an FMU depends on how it is made."""
 
     needs_execution_tool: bool
     generation_tool: str
     version: str
+    sources: tuple[str, ...] = ()
+    model_exchange: ModelExchange | None = None
 
 
 def model_description(interface: Interface, start: Mapping[str, Value], guid: str, capabilities: Capabilities) -> bytes:
@@ -63,18 +79,7 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
         variableNamingConvention="flat",
         numberOfEventIndicators="0",
     )
-    ET.SubElement(
-        root,
-        "CoSimulation",
-        modelIdentifier=interface.name,
-        needsExecutionTool=_boolean(capabilities.needs_execution_tool),
-        canHandleVariableCommunicationStepSize=_boolean(interface.variable_step),
-        canInterpolateInputs="false",
-        canBeInstantiatedOnlyOncePerProcess="false",
-        canNotUseMemoryManagementFunctions="true",
-        canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true",
-    )
+    _add_kinds(root, interface, capabilities)
     _add_units(root, interface)
     _add_types(root, interface)
     _add_log_categories(root)
@@ -86,11 +91,47 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
         stepSize=repr(interface.step_size),
     )
     variables = ET.SubElement(root, "ModelVariables")
+    exchange = capabilities.model_exchange
+    index = {v.name: i for i, v in enumerate(interface.variables, start=1)}
     for reference, variable in enumerate(interface.variables):
-        _add_variable(variables, variable, reference, start.get(variable.name))
-    _add_structure(root, interface)
+        scalar = _add_variable(variables, variable, reference, start.get(variable.name))
+        if exchange is not None and variable.name in exchange.derivatives:
+            state = exchange.states[exchange.derivatives.index(variable.name)]
+            scalar[0].set("derivative", str(index[state]))
+    _add_structure(root, interface, exchange)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _add_kinds(root: ET.Element, interface: Interface, capabilities: Capabilities) -> None:
+    """Add the elements ModelExchange, where the unit is for it, and CoSimulation."""
+    common = {
+        "modelIdentifier": interface.name,
+        "needsExecutionTool": _boolean(capabilities.needs_execution_tool),
+        "canBeInstantiatedOnlyOncePerProcess": "false",
+        "canNotUseMemoryManagementFunctions": "true",
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+    }
+    kinds = []
+    if capabilities.model_exchange is not None:
+        common["providesDirectionalDerivative"] = "true"
+        kinds.append(ET.SubElement(root, "ModelExchange", common, completedIntegratorStepNotNeeded="true"))
+    variable_step = _boolean(interface.variable_step)
+    kinds.append(
+        ET.SubElement(
+            root,
+            "CoSimulation",
+            common,
+            canHandleVariableCommunicationStepSize=variable_step,
+            canInterpolateInputs="false",
+        )
+    )
+    for kind in kinds:
+        if capabilities.sources:
+            files = ET.SubElement(kind, "SourceFiles")
+            for name in capabilities.sources:
+                ET.SubElement(files, "File", name=name)
 
 
 def _boolean(value: bool) -> str:
@@ -137,7 +178,7 @@ def _add_log_categories(root: ET.Element) -> None:
         ET.SubElement(categories, "Category", name=name, description=description)
 
 
-def _add_variable(parent: ET.Element, variable: Variable, reference: int, start: Value | None) -> None:
+def _add_variable(parent: ET.Element, variable: Variable, reference: int, start: Value | None) -> ET.Element:
     variability = variable.variability
     if variability == "continuous" and variable.type != "Real":
         variability = "discrete"
@@ -150,7 +191,7 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int, start:
         causality=variable.causality,
         variability=variability,
     )
-    if variable.causality == "output":
+    if variable.calculated:
         scalar.set("initial", "calculated")
     elif variable.causality == "parameter":
         scalar.set("initial", "exact")
@@ -165,15 +206,35 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int, start:
             kind.set(bound, repr(int(limit)) if variable.type == "Integer" else repr(limit))
     if start is not None:
         kind.set("start", _literal(start))
+    return scalar
 
 
-def _add_structure(root: ET.Element, interface: Interface) -> None:
+def _add_structure(root: ET.Element, interface: Interface, exchange: ModelExchange | None) -> None:
+    """Add ModelStructure. What unknowns depend on initially is left open: on every start value."""
     index = {v.name: str(i) for i, v in enumerate(interface.variables, start=1)}
+    outputs = {v.name: v.dependencies for v in interface.of("output")}
+    derivatives: tuple[str, ...] = ()
+    if exchange is not None:
+        derivatives = exchange.derivatives
+        outputs = {name: exchange.dependencies[name] for name in outputs}
     structure = ET.SubElement(root, "ModelStructure")
-    for section in ("Outputs", "InitialUnknowns"):
+    for section, unknowns in (
+        ("Outputs", outputs),
+        ("Derivatives", {name: exchange.dependencies[name] for name in derivatives} if exchange else {}),
+    ):
+        if not unknowns:
+            continue
         parent = ET.SubElement(structure, section)
-        for variable in interface.of("output"):
-            unknown = ET.SubElement(parent, "Unknown", index=index[variable.name])
-            if section == "Outputs":  # what outputs depend on initially is left open: on every start value
-                unknown.set("dependencies", " ".join(index[name] for name in variable.dependencies))
-                unknown.set("dependenciesKind", " ".join("dependent" for _ in variable.dependencies))
+        for name, dependencies in unknowns.items():
+            known = sorted(int(index[d]) for d in dependencies)
+            ET.SubElement(
+                parent,
+                "Unknown",
+                index=index[name],
+                dependencies=" ".join(map(str, known)),
+                dependenciesKind=" ".join("dependent" for _ in known),
+            )
+    parent = ET.SubElement(structure, "InitialUnknowns")
+    states = exchange.states if exchange else ()
+    for name in sorted({*outputs, *derivatives, *states}, key=lambda n: int(index[n])):
+        ET.SubElement(parent, "Unknown", index=index[name])

@@ -8,18 +8,15 @@ Here the code, PythonFMU's slave class included, becomes one package whose name 
 from __future__ import annotations
 
 import ast
-import hashlib
 import importlib.metadata
 import json
-import os
 import re
 import sys
-import tempfile
-import zipfile
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
+from .archive import content_guid, license_of, write_zip
 from .documentation import documentation
 from .guarded_slave import MANIFEST, GuardedSlave, code_digest
 from .model_description import Capabilities, model_description
@@ -36,8 +33,6 @@ from {package}.{module} import {name}
 ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 """
 """What the wrapper loads: it looks for a slave class among the names of this script."""
-
-ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 
 
 def export_python_fmu(
@@ -61,8 +56,8 @@ def export_python_fmu(
     )
     files |= _binaries(interface.name)
     files["documentation/index.html"] = documentation(interface, start, notes).encode()
-    files["documentation/licenses/PythonFMU.txt"] = _license("pythonfmu")
-    guid = _guid(files, model_description(interface, start, "", capabilities))
+    files["documentation/licenses/PythonFMU.txt"] = license_of("pythonfmu")
+    guid = content_guid(files, model_description(interface, start, "", capabilities))
     files["modelDescription.xml"] = model_description(interface, start, guid, capabilities)
     write_zip(path, files)
     return path
@@ -73,7 +68,7 @@ def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[st
     unit_package = slave.__module__.split(".")[0]
     code = {name.replace(".", "/") + ".py": text for name, text in _modules(slave.__module__).items()}
     code |= {f"{package}/__init__.py": b"" for package in (unit_package, *SHARED)} | {"__init__.py": b""}
-    digest = hashlib.sha256(repr(sorted(code.items())).encode()).hexdigest()
+    digest = code_digest(code)
     script = f"{slave.interface.name}_{digest[:12]}"
     package = f"{script}_code"
     files = {f"resources/{package}/{name}": text for name, text in code.items()}
@@ -84,20 +79,11 @@ def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[st
     manifest = {
         "script": script,
         "package": package,
-        "code_digest": _digest_of(code, package),
+        "code_digest": digest,
         "start_values": dict(start),
     }
     files[f"resources/{MANIFEST}"] = json.dumps(manifest, indent=1).encode()
     return files
-
-
-def _digest_of(code: Mapping[str, bytes], package: str) -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in code.items():
-            file = Path(folder) / package / name
-            file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(text)
-        return code_digest(Path(folder), package)
 
 
 def _modules(root: str) -> dict[str, bytes]:
@@ -166,34 +152,3 @@ def _binaries(model_identifier: str) -> dict[str, bytes]:
         for file in sorted(folder.rglob("*"))
         if file.suffix in {".so", ".dll", ".dylib"}
     }
-
-
-def _license(distribution: str) -> bytes:
-    for file in importlib.metadata.files(distribution) or []:
-        if file.name == "LICENSE":
-            return file.read_binary()
-    raise FileNotFoundError(f"the licence of {distribution} is not installed")
-
-
-def _guid(files: Mapping[str, bytes], description: bytes) -> str:
-    digest = hashlib.sha256(description)
-    for name in sorted(files):
-        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
-    h = digest.hexdigest()
-    return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
-
-
-def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first; beside `path`, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in sorted(files, key=lambda n: (n != "modelDescription.xml", n)):
-                entry = zipfile.ZipInfo(name, ZIP_TIME)
-                entry.external_attr = 0o644 << 16
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                archive.writestr(entry, files[name])
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from typing import Literal
 
 Value = float | int | bool
 Type = Literal["Real", "Integer", "Boolean", "Enumeration"]
-Causality = Literal["parameter", "input", "output"]
+Causality = Literal["parameter", "input", "output", "local"]
 Variability = Literal["fixed", "tunable", "discrete", "continuous"]
 
 
@@ -20,10 +20,10 @@ Variability = Literal["fixed", "tunable", "discrete", "continuous"]
 class Variable:
     """One scalar variable of a unit's FMI 2.0 interface.
 
-    `start` is None for outputs: they are calculated in initialization. `items` names the values 1, 2, ... of an
-    enumeration. `dependencies` lists the inputs that an output depends on directly at a communication point.
-    `fault_on_non_finite` marks an input whose NaN or infinity the unit itself turns into a fault; every other
-    non-finite value is refused.
+    `start` is None for outputs and local variables: they are calculated in initialization. `items` names the values 1, 2,
+    ... of an enumeration. `dependencies` lists the inputs that an output depends on directly at a communication point.
+    `fault_on_non_finite` marks an input whose NaN or infinity the unit itself turns into a fault; every other non-finite
+    value is refused.
     """
 
     name: str
@@ -42,10 +42,15 @@ class Variable:
     def __post_init__(self) -> None:
         if not self.name.isidentifier():
             raise ValueError(f"variable name {self.name!r} is not a C identifier")
-        if (self.start is None) != (self.causality == "output"):
-            raise ValueError(f"variable {self.name}: outputs have no start value, all others have one")
+        if (self.start is None) != self.calculated:
+            raise ValueError(f"variable {self.name}: parameters and inputs have a start value, all others have none")
         if (self.type == "Enumeration") != bool(self.items):
             raise ValueError(f"variable {self.name}: items belong to an Enumeration, and it needs them")
+
+    @property
+    def calculated(self) -> bool:
+        """Whether the unit computes it: outputs and local variables."""
+        return self.causality in ("output", "local")
 
     def check(self, value: Value | str) -> Value:
         """Return `value` as this variable's type, or raise ValueError that names variable, rule and value."""
@@ -110,6 +115,11 @@ class Interface:
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality, in interface order."""
         return tuple(v for v in self.variables if v.causality == causality)
+
+    @property
+    def calculated(self) -> tuple[Variable, ...]:
+        """The outputs and local variables, in interface order: what a unit's `outputs()` returns."""
+        return tuple(v for v in self.variables if v.calculated)
 
     def start_values(self, changes: Mapping[str, Value | str] | None = None) -> dict[str, Value]:
         """Return every parameter's and input's start value with `changes` applied and checked.

@@ -21,6 +21,9 @@ Matrix = Sequence[Sequence[float]]
 NEWTON_LIMIT = 100
 """Iterations after which the root search stops; more than ten are rare, and each two at least halve the bracket."""
 
+CONVERGED = 1e-9
+"""Length in ln r of a Newton step that leaves an error of its square, far below rounding."""
+
 GUESSES = (1e-12, 1e12)
 """Range of starting values that are used."""
 
@@ -44,7 +47,9 @@ def solve(M: Matrix, B: Matrix) -> list[list[float]]:
                 rows[i][j] -= factor * rows[k][j]
     for k in range(n - 1, -1, -1):
         for j in range(n, len(rows[k])):
-            rest = sum(rows[k][i] * rows[i][j] for i in range(k + 1, n))
+            rest = 0.0
+            for i in range(k + 1, n):
+                rest += rows[k][i] * rows[i][j]
             rows[k][j] = (rows[k][j] - rest) / rows[k][k]
     return [row[n:] for row in rows]
 
@@ -60,9 +65,17 @@ def to_chain(Phi: Matrix, P: Matrix) -> list[list[float]]:
     return solve(Phi_t, transpose(solve(Phi_t, P)))
 
 
+def dot(a: Vector, b: Vector) -> float:
+    """Return a' b, added from the first to the last: `sum` compensates rounding since Python 3.12."""
+    total = 0.0
+    for p, q in zip(a, b, strict=True):
+        total += p * q
+    return total
+
+
 def product(M: Matrix, x: Vector) -> list[float]:
     """Return M x."""
-    return [sum([a * b for a, b in zip(row, x, strict=True)]) for row in M]
+    return [dot(row, x) for row in M]
 
 
 def norm_polynomial(Pz: Matrix, z: Vector) -> list[float]:
@@ -141,6 +154,8 @@ def homogeneous_norm(c: Vector, mu: float, guess: float = 1.0) -> float:
             high = sigma
         slope = 2.0 + mu * s * weighted / value
         step = error / slope if slope > 0.0 else inf
+        if abs(step) <= CONVERGED:
+            return exp(sigma + step)
         following = sigma + max(-4.0, min(4.0, step))
         if high - low < inf and not (low < following < high and abs(following - sigma) <= 0.5 * last):
             following = 0.5 * (low + high)

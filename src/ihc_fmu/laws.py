@@ -9,12 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from .homogeneity import dot
+
 Vector = Sequence[float]
-
-
-def dot(a: Vector, b: Vector) -> float:
-    """Return a' b."""
-    return sum([p * q for p, q in zip(a, b, strict=True)])
 
 
 def linear(k_lin: Vector, x: Vector) -> float:
@@ -49,7 +46,7 @@ def implicit_homogeneous(k_lin: Vector, kz: Vector, mu: float, r: float, x: Vect
     r = 1 is the LC to the last bit.
     """
     gains = chain_gains(kz, mu, r)
-    return dot(k_lin, x) + sum([(g - k) * value for g, k, value in zip(gains, kz, z, strict=True)])
+    return dot(k_lin, x) + dot([g - k for g, k in zip(gains, kz, strict=True)], z)
 
 
 def implicit_homogeneous_semi(kz: Vector, row_z: Vector, mu: float, r: float, h: float, z: Vector) -> float:
@@ -68,4 +65,4 @@ def implicit_homogeneous_semi(kz: Vector, row_z: Vector, mu: float, r: float, h:
         powers[i] = h * powers[i + 1]
     last = (z[-1] + h * dot(g, a)) / (1.0 - h * dot(g, powers))
     y = [a_i + p_i * last for a_i, p_i in zip(a, powers, strict=True)]
-    return sum([(g_i - r_i) * y_i for g_i, r_i, y_i in zip(g, row_z, y, strict=True)])
+    return dot([g_i - r_i for g_i, r_i in zip(g, row_z, strict=True)], y)

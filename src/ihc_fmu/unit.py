@@ -169,7 +169,7 @@ class IhcControllerUnit:
         state.mode = next_mode(
             earlier,
             self.capture,
-            sum(polynomial),
+            homogeneity.squared_norm(polynomial, self.mu, 1.0),
             x[1],
             x[3],
             enabled=self.values["enabled"],

@@ -37,8 +37,8 @@ def alpha_beta_gains(acceleration_noise: float, resolution: float, h: float) -> 
     stationary Riccati equation reduces to alpha^2 + (alpha - 2) beta + beta^2/6 = 0 and
     beta^2 = (1 - alpha) q h^3 / r, solved here by bisection on beta up to 3 - sqrt(3), where alpha is 1.
     """
-    variance = resolution**2 / 12.0 * (1e-3 / h)
-    index = acceleration_noise * h**3 / variance
+    variance = resolution * resolution / 12.0 * (1e-3 / h)
+    index = acceleration_noise * (h * h * h) / variance
     low, high = 0.0, min(sqrt(index), 3.0 - sqrt(3.0))
     for _ in range(100):
         beta = 0.5 * (low + high)

@@ -38,9 +38,9 @@ class Coefficients(NamedTuple):
 
 def coefficients(p: QubeParameters, *, back_emf: bool = True) -> Coefficients:
     """Return the coefficients of eq. (5) for the parameters `p`."""
-    zeta = p.m_p * p.L_p**2
+    zeta = p.m_p * (p.L_p * p.L_p)
     return Coefficients(
-        J_11=p.J_r + p.m_p * p.L_r**2,
+        J_11=p.J_r + p.m_p * (p.L_r * p.L_r),
         J_22=p.J_p + zeta / 4,
         zeta_4=zeta / 4,
         varpi_2=p.m_p * p.L_p * p.L_r / 2,

@@ -13,6 +13,10 @@ from fmu_export.variables import Interface, Value, Variable
 from .parameters import PARAMETER_SETS, QubeParameters, parameter_set
 
 MOTOR_MODELS = ("static", "inductance")
+MAX_DELAY_STEPS = 1000
+"""Longest measurement_delay in communication steps."""
+MAX_SUBSTEPS = 1_000_000
+"""Most Runge-Kutta steps in one communication step."""
 
 
 def _parameter(name: str, start: Value, unit: str, description: str, **rest: object) -> Variable:
@@ -29,6 +33,10 @@ def _physical_parameters() -> list[Variable]:
 
 def _output(name: str, unit: str, description: str) -> Variable:
     return Variable(name, "output", description, unit)
+
+
+def _local(name: str, unit: str, description: str) -> Variable:
+    return Variable(name, "local", description, unit)
 
 
 INTERFACE = Interface(
@@ -86,6 +94,9 @@ INTERFACE = Interface(
             min=1e-7,
             max=0.1,
         ),
+        _local("theta_ddot", "rad/s2", "angular acceleration of the rotary arm under the voltage of the last step"),
+        _local("delta_ddot", "rad/s2", "angular acceleration of the pendulum under the voltage of the last step"),
+        _local("current_dot", "A/s", "rate of the current under the voltage of the last step; 0 without inductance"),
     ),
     step_size=1e-3,
     stop_time=1.0,

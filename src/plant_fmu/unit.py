@@ -13,7 +13,7 @@ from typing import Any
 
 from . import dynamics, sensors
 from .integrator import rk4_step, substeps
-from .interface import MOTOR_MODELS
+from .interface import MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
 from .parameters import QubeParameters
 
 STEPS_PER_TIME_CONSTANT = 2
@@ -41,6 +41,8 @@ class QubePlant:
         start = tuple(values[name] for name in ("theta_0", "delta_0", "theta_dot_0", "delta_dot_0"))
         self.x: dynamics.State = (*start, 0.0) if self.inductance else start
         self.applied_voltage = 0.0
+        self.applied_torque = 0.0
+        self.derivative = dynamics.derivative_inductance if self.inductance else dynamics.derivative_static
         self.random_state: int = values["noise_seed"]
         self.longest_step = self.solver_step
         if self.inductance:
@@ -65,11 +67,15 @@ class QubePlant:
         limit = self.voltage_limit
         applied = min(limit, max(-limit, voltage + disturbance))
         count = substeps(step, self.longest_step)
+        if count > MAX_SUBSTEPS:
+            raise ValueError(
+                f"a communication step must not exceed {MAX_SUBSTEPS} internal steps of {self.solver_step:g} s, found "
+                f"{step:g} s"
+            )
         h = step / count
         if self.delay:
             self._count_delay(step)
-        derivative = dynamics.derivative_inductance if self.inductance else dynamics.derivative_static
-        c = self.coefficients
+        derivative, c = self.derivative, self.coefficients
 
         def f(x: Sequence[float]) -> dynamics.State:
             return derivative(c, x, applied, tau_p)
@@ -83,16 +89,17 @@ class QubePlant:
             finite = False
         if not finite:
             raise ArithmeticError(f"the state left the range of numbers, x = {self.x} before the step")
-        self.x, self.applied_voltage = x, applied
+        self.x, self.applied_voltage, self.applied_torque = x, applied, tau_p
         self.delay_line.append(self._measure())
         while len(self.delay_line) > self.delay_steps + 1:
             self.delay_line.popleft()
         return []
 
     def outputs(self) -> tuple[float, ...]:
-        """Return the outputs in the order of the interface."""
+        """Return outputs and local variables in the order of the interface."""
         theta, delta, theta_dot, delta_dot = self.x[:4]
         c = self.coefficients
+        rates = self.derivative(c, self.x, self.applied_voltage, self.applied_torque)
         current = self.x[4] if self.inductance else dynamics.static_current(c, self.applied_voltage, theta_dot)
         return (
             theta,
@@ -103,6 +110,9 @@ class QubePlant:
             current,
             c.k_m * current,
             dynamics.energy(c, delta, theta_dot, delta_dot),
+            rates[2],
+            rates[3],
+            rates[4] if self.inductance else 0.0,
         )
 
     def get_state(self) -> dict[str, Any]:
@@ -110,6 +120,7 @@ class QubePlant:
         return {
             "x": list(self.x),
             "applied_voltage": self.applied_voltage,
+            "applied_torque": self.applied_torque,
             "random_state": self.random_state,
             "delay_steps": self.delay_steps,
             "delayed_step": self.delayed_step,
@@ -120,6 +131,7 @@ class QubePlant:
         """Restore what `get_state` returned."""
         self.x = tuple(state["x"])
         self.applied_voltage = state["applied_voltage"]
+        self.applied_torque = state["applied_torque"]
         self.random_state = state["random_state"]
         self.delay_steps = state["delay_steps"]
         self.delayed_step = state["delayed_step"]
@@ -131,6 +143,11 @@ class QubePlant:
             raise ValueError(
                 f"the communication step must stay the same with a measurement_delay, found {step:g} s after "
                 f"{self.delayed_step:g} s"
+            )
+        if self.delay / step > MAX_DELAY_STEPS + 0.5:
+            raise ValueError(
+                f"measurement_delay must not exceed {MAX_DELAY_STEPS} communication steps, found {self.delay:g} s with a "
+                f"step of {step:g} s"
             )
         self.delay_steps = sensors.delay_in_steps(self.delay, step)
         self.delayed_step = step

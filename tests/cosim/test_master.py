@@ -255,7 +255,7 @@ def by_hand(design, order, steps, step, measurement, controller_changes, plant_c
     controller = IhcControllerUnit(controller_values)
     plant = QubePlant(PLANT.start_values(plant_start_values("ident") | plant_changes))
     sources = {w.target: w.source.split(".")[1] for w in WIRES[measurement] if w.target.startswith("controller")}
-    names = [v.name for v in PLANT.of("output")]
+    names = [v.name for v in PLANT.calculated]
 
     def seen():
         values = dict(zip(names, plant.outputs(), strict=True))
@@ -300,9 +300,11 @@ def test_the_master_adds_nothing_to_a_loop_over_the_units(fmus, design, order, n
         plant,
         scenario.disturbance.value,
     )
-    names = [f"{part}.{v.name}" for part, i in (("controller", CONTROLLER), ("plant", PLANT)) for v in i.of("output")]
-    assert list(result.signals) == names
+    names = [f"{part}.{v.name}" for part, i in (("controller", CONTROLLER), ("plant", PLANT)) for v in i.calculated]
+    assert list(result.signals) == [n for n in names if not n.endswith(("_ddot", "current_dot"))]
     for column, signal in enumerate(names):
+        if signal not in result.signals:
+            continue
         np.testing.assert_array_equal(result[signal], expected[:, column], err_msg=signal)
 
 

@@ -32,6 +32,7 @@ description = "all of it"
 step = 2e-3
 duration = 3
 order = "parallel"
+engine = "fmpy"
 seed = 4
 [plant]
 fmu = "Mine.fmu"
@@ -85,7 +86,7 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
     assert scenario.model_dump() == {
         "name": "mine",
         "description": "all of it",
-        "run": {"step": 2e-3, "duration": 3.0, "order": "parallel", "seed": 4},
+        "run": {"step": 2e-3, "duration": 3.0, "order": "parallel", "engine": "fmpy", "seed": 4},
         "plant": {
             "fmu": "Mine.fmu",
             "parameters": "hcs",

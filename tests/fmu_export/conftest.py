@@ -29,7 +29,7 @@ class Host:
     def __init__(self, folder: str | Path, *, logging: bool = True) -> None:
         self.description = description(str(folder))
         self.variables = {v.name: v for v in self.description.modelVariables}
-        self.output_names = [v.name for v in self.description.modelVariables if v.causality == "output"]
+        self.output_names = [v.name for v in self.description.modelVariables if v.causality in ("output", "local")]
         self.log: list[tuple[int, str, str]] = []
         self.slave: Any = instantiate_fmu(
             str(folder), self.description, logger=self._take_message, debug_logging=logging

@@ -56,7 +56,7 @@ def test_fmpy_reads_the_interface_table_back(name, fmus, slaves, start):
         assert read.unit == (table.unit if table.type == "Real" else None)
         assert [number(read.min), number(read.max)] == [table.min, table.max]
         assert as_start(read.start) == start[name].get(table.name)
-        assert read.initial == ("calculated" if table.causality == "output" else "exact")
+        assert read.initial == ("calculated" if table.calculated else "exact")
         if table.type == "Real" or table.variability != "continuous":
             assert read.variability == table.variability
 
@@ -96,7 +96,7 @@ def test_dependencies_are_counted_from_one_in_the_order_of_the_variables():
     inputs = [Variable(name, "input", "", start=0.0) for name in ("u", "v")]
     root = described(thing(parameter, *inputs, Variable("y", "output", "", dependencies=("v", "u"))))
     (unknown,) = root.iterfind("ModelStructure/Outputs/Unknown")
-    assert unknown.attrib == {"index": "4", "dependencies": "3 2", "dependenciesKind": "dependent dependent"}
+    assert unknown.attrib == {"index": "4", "dependencies": "2 3", "dependenciesKind": "dependent dependent"}
 
 
 SYMBOLS = {"1": {}, "s": {"s": 1}, "m": {"m": 1}, "kg": {"kg": 1}, "rad": {"rad": 1}, "A": {"A": 1}}

@@ -102,8 +102,8 @@ def test_input_whose_unit_handles_it_admits_non_finite_values(value):
         ({"name": "a.b"}, "'a.b' is not a C identifier"),
         ({"name": "2x"}, "'2x' is not a C identifier"),
         ({"name": ""}, "'' is not a C identifier"),
-        ({"start": None}, "outputs have no start value"),
-        ({"causality": "output"}, "outputs have no start value"),
+        ({"start": None}, "parameters and inputs have a start value"),
+        ({"causality": "output"}, "parameters and inputs have a start value"),
         ({"type": "Enumeration"}, "items belong to an Enumeration"),
         ({"items": ("a", "b")}, "items belong to an Enumeration"),
     ],
@@ -160,12 +160,12 @@ def test_suggestions_are_the_nearest_names():
 def test_own_start_values_keep_the_rules_and_every_variable_is_explained(unit):
     start = unit.start_values()
     assert unit.start_values(start) == start
-    assert set(start) == {v.name for v in unit.variables if v.causality != "output"}
+    assert set(start) == {v.name for v in unit.variables if not v.calculated}
     assert [v.name for v in unit.variables if not v.description or not v.unit] == []
 
 
 @pytest.mark.parametrize("unit", [PLANT, CONTROLLER], ids=lambda unit: unit.name)
 def test_variables_of_each_causality_keep_their_order(unit):
-    parts = [unit.of(causality) for causality in ("input", "output", "parameter")]
+    parts = [unit.of(causality) for causality in ("input", "output", "parameter", "local")]
     assert sorted(sum(parts, ()), key=unit.variables.index) == list(unit.variables)
     assert all(list(part) == sorted(part, key=unit.variables.index) for part in parts)

@@ -18,8 +18,8 @@ from plant_fmu import interface as plant_interface
 from plant_fmu.parameters import parameter_set
 from plant_fmu.unit import QubePlant
 
-PLANT_OUTPUTS = [v.name for v in plant_interface.INTERFACE.of("output")]
-CONTROLLER_OUTPUTS = [v.name for v in interface.INTERFACE.of("output")]
+PLANT_OUTPUTS = [v.name for v in plant_interface.INTERFACE.calculated]
+CONTROLLER_OUTPUTS = [v.name for v in interface.INTERFACE.calculated]
 SEEN_BY_CONTROLLER = [PLANT_OUTPUTS.index(n) for n in ("theta_encoder", "delta_encoder", "theta_dot", "delta_dot")]
 
 

@@ -14,7 +14,7 @@ from plant_fmu.unit import QubePlant
 
 IDENT = PARAMETER_SETS["ident"].parameters
 GRAVITY = IDENT.m_p * IDENT.g_p * IDENT.L_p / 2
-OUTPUTS = [v.name for v in INTERFACE.of("output")]
+OUTPUTS = [v.name for v in INTERFACE.calculated]
 ENCODERS = ["theta_encoder", "delta_encoder"]
 MOVING = {"theta_0": 0.1, "delta_0": 2.0, "theta_dot_0": 1.5, "delta_dot_0": -3.0}
 STILL = (0.0, 0.0, 0.0)
@@ -46,8 +46,24 @@ def wobble(count):
     return [(12.0 * cos(0.05 * k), 3.0 * cos(0.3 * k), 0.01 * cos(0.02 * k)) for k in range(count)]
 
 
+@pytest.mark.parametrize("motor_model", [1, 2])
+def test_local_rates_are_the_slopes_of_the_trajectory(motor_model):
+    unit = plant(delta_0=0.4, theta_dot_0=2.0, delta_dot_0=-1.0, motor_model=motor_model, solver_step=1e-6)
+    h, before = 1e-6, {}
+    for k in range(200):
+        before = outputs(unit)
+        unit.step(k * h, h, (3.0, 0.5, 0.002))
+    after = outputs(unit)
+    pairs = [("theta_dot", "theta_ddot"), ("delta_dot", "delta_ddot")]
+    pairs += [("current", "current_dot")] if motor_model == 2 else []
+    for signal, rate in pairs:
+        assert (after[signal] - before[signal]) / h == pytest.approx((after[rate] + before[rate]) / 2, rel=1e-5)
+
+
 def test_outputs_at_the_start_are_those_of_the_start_values():
     found = outputs(plant(theta_0=0.1, delta_0=0.2, theta_dot_0=3.0, delta_dot_0=-4.0))
+    assert found.pop("current_dot") == 0.0
+    del found["theta_ddot"], found["delta_ddot"]
     p, count = IDENT, 2 * pi / 2048
     current = -p.k_m * 3.0 / p.R_m
     tip_x, tip_z = p.L_r * 3.0 - p.L_p / 2 * cos(0.2) * -4.0, p.L_p / 2 * np.sin(0.2) * -4.0

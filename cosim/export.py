@@ -1,0 +1,86 @@
+"""Both units as FMU files, and both with their wires as an SSP file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
+
+class Kind(StrEnum):
+    """What an FMU's code is."""
+
+    native = "native"
+    python = "python"
+
+
+class Smc(StrEnum):
+    """Which sliding mode controller the FMU carries."""
+
+    fitted = "fitted"
+    linear_poles = "linear-poles"
+
+
+def export_units(
+    design: Design,
+    parameters: str = "ident",
+    nominal: str = "ident",
+    output: Path = Path("fmus"),
+    changes: Mapping[str, Mapping[str, Any]] | None = None,
+    smc: Smc = Smc.fitted,
+    kind: Kind = Kind.native,
+    platforms: Sequence[str] | None = None,
+) -> list[Path]:
+    """Write QubeServo2.fmu, IhcController.fmu and QubeWithController.ssp to the folder `output`; return their paths.
+
+    `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model; `changes` to
+    start values are given per unit, "plant" and "controller". `platforms` as in `export_native_fmu`, or ["all"]. Raises
+    ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
+    """
+    from fmu_export.native_build import PLATFORMS
+    from fmu_export.native_fmu import export_native_fmu
+    from fmu_export.python_fmu import export_python_fmu
+    from fmu_export.ssp import write_ssp
+    from ihc_fmu.documentation import notes as controller_notes
+    from ihc_fmu.native_unit import NATIVE as CONTROLLER
+    from ihc_fmu.slave import IhcController
+    from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
+    from ihc_fmu.start_values import controller_start_values
+    from plant_fmu.documentation import notes as plant_notes
+    from plant_fmu.interface import start_values as plant_start_values
+    from plant_fmu.native_unit import NATIVE as PLANT
+    from plant_fmu.slave import QubeServo2
+
+    from .scenario import WIRES
+
+    changes = {"plant": {}, "controller": {}, **(changes or {})}
+    A, b, k_lin = design.A, design.b, design.k_lin
+    sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
+    plans = (
+        (PLANT, QubeServo2, {**plant_start_values(parameters), **changes["plant"]}, plant_notes(parameters)),
+        (
+            CONTROLLER,
+            IhcController,
+            {**controller_start_values(design, nominal, sliding), **changes["controller"]},
+            controller_notes(design, nominal),
+        ),
+    )
+    for native, _, start, _ in plans:
+        native.twin(native.interface.start_values(start))  # refuse both before writing either
+    if platforms == ["all"]:
+        platforms = list(PLATFORMS)
+    paths = []
+    for native, slave, start, notes in plans:
+        path = output / f"{native.interface.name}.fmu"
+        if kind is Kind.native:
+            paths.append(export_native_fmu(native, path, start, notes, platforms))
+        else:
+            paths.append(export_python_fmu(slave, path, start, notes))
+    plant, controller = paths
+    wires = [(w.source, w.target) for w in WIRES["encoders"]]
+    system = write_ssp(output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires)
+    return [plant, controller, system]

@@ -1,0 +1,204 @@
+"""The stepping loop in C (`native/loop.c`): its structs, made from a coupling's buffers, and its calls.
+
+The loop calls the FMUs' own functions without Python in between and without the global lock, so runs in threads scale.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from fmu_export.native_build import BuildError
+
+from .build import loop_library
+from .errors import UserError
+from .fmu import Instance, Port
+
+SECONDS_PER_CALL = 0.05
+"""How long a call runs before Python may look for Ctrl-C and report progress."""
+
+SIGNAL_STEPS = 4096
+"""Steps for which functions of time are evaluated ahead."""
+
+_P, _Z, _I32, _I64, _D = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32, ctypes.c_int64, ctypes.c_double
+
+
+class _Port(ctypes.Structure):
+    _fields_ = [("call", _P), ("references", _P), ("count", _Z), ("values", _P)]
+
+
+class _Wire(ctypes.Structure):
+    _fields_ = [("source", _P), ("target", _P), ("size", _Z)]
+
+
+class _Signal(ctypes.Structure):
+    _fields_ = [("values", _P), ("target", _P)]
+
+
+class _Instance(ctypes.Structure):
+    _fields_ = [
+        ("component", _P),
+        ("do_step", _P),
+        *[(name, _Z) for name in ("input_count", "output_count", "wire_count", "signal_count")],
+        *[(name, _P) for name in ("inputs", "outputs", "wires", "signals")],
+    ]
+
+
+class _Table(ctypes.Structure):
+    _fields_ = [("buffer", _P), ("rows", _P), ("size", _Z)]
+
+
+class _Run(ctypes.Structure):
+    _fields_ = [
+        ("instance_count", _Z),
+        ("table_count", _Z),
+        ("instances", _P),
+        ("tables", _P),
+        ("start_time", _D),
+        ("step", _D),
+        ("steps", _I64),
+        ("every", _I64),
+        ("parallel", _I32),
+        ("done", _I64),
+        ("recorded", _I64),
+        ("times", _P),
+        ("failed_in", _I32),
+        ("failed_status", _I32),
+        ("failed_instance", _Z),
+        ("failed_port", _Z),
+    ]
+
+
+_INPUT, _STEP = 1, 2
+
+
+@cache
+def _advance() -> Callable[..., int]:
+    try:
+        library = ctypes.CDLL(str(loop_library()))
+    except BuildError as error:
+        raise UserError(f"{error}; --engine fmpy runs without it") from None
+    call = library.loop_advance
+    call.argtypes = [ctypes.POINTER(_Run), _I64, _D]
+    call.restype = ctypes.c_int
+    return call
+
+
+Slot = tuple[ctypes.Array, int]
+"""A place in a port's buffer."""
+
+
+class NativeLoop:
+    """The C structs of one run, and all that they point to.
+
+    `wires` and `signals` are, per instance in stepping order, (source, target) and (function of time, target); `tables` are
+    (buffer of a port, rows to fill), and `times` the rows' times, of which `recorded` are filled already.
+    """
+
+    def __init__(
+        self,
+        instances: Sequence[Instance],
+        inputs: Sequence[Sequence[Port]],
+        outputs: Sequence[Sequence[Port]],
+        wires: Sequence[Sequence[tuple[Slot, Slot]]],
+        signals: Sequence[Sequence[tuple[Callable[[float], float], Slot]]],
+        tables: Sequence[tuple[ctypes.Array, np.ndarray]],
+        times: np.ndarray,
+    ) -> None:
+        self._advance = _advance()
+        self._kept: list[Any] = [instances, inputs, outputs, tables, times]
+        self._functions: list[tuple[Callable[[float], float], np.ndarray]] = []
+        rows = [self._instance(*parts) for parts in zip(instances, inputs, outputs, wires, signals, strict=True)]
+        tables_c = [_Table(ctypes.addressof(b), t.ctypes.data, ctypes.sizeof(b)) for b, t in tables]
+        self.run = _Run(
+            instance_count=len(rows),
+            table_count=len(tables_c),
+            instances=self._array(_Instance, rows),
+            tables=self._array(_Table, tables_c),
+            times=times.ctypes.data,
+        )
+
+    def advance(
+        self, start_time: float, step: float, steps: int, every: int, recorded: int, *, parallel: bool
+    ) -> Iterator[int]:
+        """Step to the end; yield the number of steps done, every `SECONDS_PER_CALL` or less, and after a failed call."""
+        run = self.run
+        run.start_time, run.step, run.steps, run.every = start_time, step, steps, every
+        run.parallel, run.recorded = parallel, recorded
+        while run.done < steps and not run.failed_in:
+            until = steps
+            if self._functions:
+                until = min(steps, run.done + SIGNAL_STEPS)
+                for function, values in self._functions:
+                    for k in range(run.done, until):
+                        values[k - run.done] = function(start_time + k * step)
+            self._advance(ctypes.byref(run), until, SECONDS_PER_CALL)
+            yield run.done
+
+    def failure(self) -> tuple[int, str, int] | None:
+        """Return (index of the instance, what was called, status) of the call that failed; None if none did."""
+        run = self.run
+        if not run.failed_in:
+            return None
+        index = run.failed_instance
+        time = run.start_time + run.done * run.step
+        if run.failed_in == _STEP:
+            return index, f"doStep({time!r}, {run.step!r})", run.failed_status
+        ports = self._kept[1 if run.failed_in == _INPUT else 2][index]
+        return index, ports[run.failed_port].function, run.failed_status
+
+    def _instance(
+        self,
+        instance: Instance,
+        inputs: Sequence[Port],
+        outputs: Sequence[Port],
+        wires: Sequence[tuple[Slot, Slot]],
+        signals: Sequence[tuple[Callable[[float], float], Slot]],
+    ) -> _Instance:
+        component, do_step = instance.pointers()
+        rows = []
+        for function, target in signals:
+            values = np.zeros(SIGNAL_STEPS)
+            self._functions.append((function, values))
+            rows.append(_Signal(values.ctypes.data, _address(target)))
+        wire_rows = [_Wire(_address(s), _address(t), ctypes.sizeof(t[0]._type_)) for s, t in wires]
+        return _Instance(
+            component=component,
+            do_step=do_step,
+            input_count=len(inputs),
+            output_count=len(outputs),
+            wire_count=len(wire_rows),
+            signal_count=len(rows),
+            inputs=self._array(_Port, [_port(p) for p in inputs]),
+            outputs=self._array(_Port, [_port(p) for p in outputs]),
+            wires=self._array(_Wire, wire_rows),
+            signals=self._array(_Signal, rows),
+        )
+
+    def _array(self, kind: type[ctypes.Structure], rows: Sequence[ctypes.Structure]) -> int:
+        array = (kind * max(1, len(rows)))(*rows)
+        self._kept.append(array)
+        return ctypes.addressof(array)
+
+
+def _port(port: Port) -> _Port:
+    call = ctypes.cast(port.call, _P)  # type: ignore[arg-type]
+    return _Port(call, ctypes.addressof(port.references), len(port.names), ctypes.addressof(port.values))
+
+
+def _address(slot: Slot) -> int:
+    array, index = slot
+    return ctypes.addressof(array) + index * ctypes.sizeof(array._type_)
+
+
+def needs_python(instances: Mapping[str, Instance]) -> bool:
+    """Whether an FMU among `instances` declares that it needs an execution tool, as Python FMUs do.
+
+    Called without Python's global lock such an FMU takes and gives it back in every call, which costs more than the loop
+    saves.
+    """
+    return any(i.description.coSimulation.needsExecutionTool for i in instances.values())  # type: ignore[union-attr]

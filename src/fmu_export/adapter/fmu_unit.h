@@ -1,0 +1,71 @@
+/* What a unit (a plant, a controller) gives to the FMI adapter: its variables and its functions.
+ *
+ * The table of variables is generated from the unit's interface; the functions are hand-written. A unit's data are five
+ * structs: parameters, inputs, outputs (local variables included), what follows from the parameters alone (prepared), and
+ * the state. A status of 0 is success; what another means is told by `explain`.
+ */
+#ifndef FMU_UNIT_H
+#define FMU_UNIT_H
+
+#include <stddef.h>
+
+/* Limits of a unit; its generated table asserts them. */
+enum { FMU_MOST_STATES = 16, FMU_MOST_BYTES = 1024, FMU_GUID_SIZE = 64 };
+
+typedef enum { FMU_REAL, FMU_INTEGER, FMU_BOOLEAN } fmu_type; /* enumerations are integers */
+typedef enum { FMU_INPUT, FMU_OUTPUT, FMU_FIXED, FMU_TUNABLE } fmu_role; /* local variables count as outputs */
+typedef enum { FMU_WARNING, FMU_REFUSED } fmu_severity;
+
+/* A variable; its value reference is its index in the table. */
+typedef struct {
+    const char *name;
+    fmu_type type;
+    fmu_role role;
+    int any_value;   /* whether an input may be NaN or infinite, which the unit turns into a fault */
+    size_t offset;   /* in the struct that the role tells [byte] */
+    double min, max; /* admissible values */
+} fmu_variable;
+
+/* The continuous states of a unit that can be used for model exchange. */
+typedef struct {
+    const unsigned *states;      /* value references of the states, which are outputs too */
+    const unsigned *derivatives; /* and of their derivatives */
+    size_t most;                 /* states at most */
+    size_t (*count)(const void *parameters);
+    double *(*values)(void *state);
+    /* Take the inputs as held from now on. */
+    int (*hold)(const void *parameters, const void *prepared, void *state, const void *inputs);
+    /* Derivative of the outputs in the direction (dx, dinputs). */
+    void (*tangent)(const void *parameters, const void *prepared, const void *state, const void *inputs, const double *dx,
+                    const void *dinputs, void *doutputs);
+    /* What in the parameters has no meaning in model exchange; NULL for nothing. */
+    const char *(*objection)(const void *parameters);
+} fmu_continuous;
+
+typedef struct {
+    const char *model_identifier;
+    const fmu_variable *variables;
+    size_t variable_count;
+    size_t parameters_size, inputs_size, outputs_size, prepared_size, state_size;
+    int (*prepare)(const void *parameters, void *prepared);
+    int (*initialize)(const void *parameters, const void *prepared, void *state, double time, const void *inputs);
+    int (*step)(const void *parameters, const void *prepared, void *state, double time, double step, const void *inputs);
+    void (*get_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
+    int (*state_is_valid)(const void *state); /* whether a restored state can do no harm */
+    fmu_severity (*explain)(int status, const void *parameters, const void *state, const void *inputs, double step,
+                            char *text, size_t size);
+    const fmu_continuous *continuous; /* NULL: co-simulation only */
+} fmu_unit;
+
+/* The one unit of a binary, defined in its generated table. */
+extern const fmu_unit fmu_the_unit;
+
+/* Read the GUID and the start values of all variables, in the table's order; outputs have 0.
+ *
+ * One of two implementations is linked: that of prebuilt binaries reads the file start_values.bin in the FMU's resources
+ * folder, that among an FMU's sources has the values compiled in. Returns 0, or -1 with a sentence in `problem`.
+ */
+int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE], double *values, size_t count,
+                          char *problem, size_t problem_size);
+
+#endif

@@ -1,0 +1,45 @@
+"""FMU and SSP files: reproducible zip archives whose GUID is a hash of what is in them."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+
+
+def content_guid(files: Mapping[str, bytes], description: bytes) -> str:
+    """Return the GUID of an FMU with the `files` and, without a GUID, the model `description`."""
+    digest = hashlib.sha256(description)
+    for name in sorted(files):
+        digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
+    h = digest.hexdigest()
+    return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
+
+
+def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
+    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first; beside `path`, then renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in sorted(files, key=lambda n: (n != "modelDescription.xml", n)):
+                entry = zipfile.ZipInfo(name, ZIP_TIME)
+                entry.external_attr = 0o644 << 16
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, files[name])
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def license_of(distribution: str) -> bytes:
+    """Return the licence text of an installed distribution."""
+    for file in importlib.metadata.files(distribution) or []:
+        if file.name == "LICENSE":
+            return file.read_binary()
+    raise FileNotFoundError(f"the licence of {distribution} is not installed")

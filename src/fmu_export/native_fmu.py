@@ -1,0 +1,91 @@
+"""Native FMUs: a unit's binaries, its C sources and its start values in one reproducible file; no Python inside.
+
+The binaries do not depend on the design: they read their start values from the FMU's resources. Among the sources the
+start values are compiled in, so that an importer that rebuilds them needs no file at run time.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from .archive import content_guid, write_zip
+from .documentation import documentation
+from .model_description import Capabilities, model_description
+from .native_build import (
+    BINARIES,
+    PLATFORMS,
+    BuildError,
+    Platform,
+    build_library,
+    host_platform,
+    installed_library,
+)
+from .native_unit import NativeUnit, start_value_file, start_value_source, unit_files, variable_table
+from .variables import Value
+
+START_VALUES_SOURCE = "start_values.c"
+
+
+def export_native_fmu(
+    unit: NativeUnit,
+    path: Path,
+    changes: Mapping[str, Value | str] | None = None,
+    notes: str = "",
+    platforms: Iterable[str] | None = None,
+) -> Path:
+    """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
+
+    `platforms` names what to hold binaries for, None: this machine, which the installation has built; others are compiled
+    now, by the package ziglang. `notes` is HTML for the FMU's documentation. The same arguments give the same bytes. The
+    file is written beside and renamed. Raises ValueError for start values that the interface does not admit or that
+    contradict each other and for unknown platforms, BuildError where there is no binary.
+    """
+    interface = unit.interface
+    start = interface.start_values(changes)
+    unit.twin(start)
+    version = importlib.metadata.version("qube-ihc")
+    sources = {name: file.read_bytes() for name, file in unit.sources.items()}
+    sources[unit.table_name] = variable_table(unit).encode()
+    capabilities = Capabilities(
+        needs_execution_tool=False,
+        generation_tool=f"qube-ihc {version}",
+        version=version,
+        sources=tuple(sorted([name for name in sources if name.endswith(".c")] + [START_VALUES_SOURCE])),
+        model_exchange=None if unit.model_exchange is None else unit.model_exchange(start),
+    )
+    files = {f"sources/{name}": text for name, text in sources.items()}
+    for platform in _platforms(platforms):
+        name = f"{interface.name}{platform.suffix}"
+        files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
+        if platforms is None and platform.name == "aarch64-linux":
+            files[f"binaries/linux64/{name}"] = files[f"binaries/{platform.name}/{name}"]  # where FMPy looks on ARM
+    files["documentation/index.html"] = documentation(interface, start, notes).encode()
+    guid = content_guid(files, model_description(interface, start, "", capabilities))
+    files["resources/start_values.bin"] = start_value_file(interface, guid, start)
+    files[f"sources/{START_VALUES_SOURCE}"] = start_value_source(interface, guid, start).encode()
+    files["modelDescription.xml"] = model_description(interface, start, guid, capabilities)
+    write_zip(path, files)
+    return path
+
+
+def _platforms(names: Iterable[str] | None) -> list[Platform]:
+    if names is None:
+        return [host_platform()]
+    chosen = list(dict.fromkeys(names))
+    for name in chosen:
+        if name not in PLATFORMS:
+            raise ValueError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
+    return [PLATFORMS[name] for name in chosen]
+
+
+def _binary(unit: NativeUnit, platform: Platform) -> bytes:
+    """Return the installed binary, or for another machine's platform a new one."""
+    try:
+        is_host = platform == host_platform()
+    except BuildError:
+        is_host = False
+    if is_host:
+        return installed_library(BINARIES, unit_files(unit), unit.interface.name, platform).read_bytes()
+    return build_library(unit_files(unit), unit.interface.name, platform)

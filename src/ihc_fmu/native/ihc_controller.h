@@ -1,0 +1,166 @@
+/* Swing-up and stabilization of a rotary pendulum: the C twin of ihc_fmu (LC, first-order SMC, implicit homogeneous
+ * control of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems").
+ *
+ * x = (theta, delta, theta', delta'), delta = 0 upright, z = Phi x, w_i = 1 + mu (n - i), s = r^-mu:
+ *
+ *     LC     u = k_lin x
+ *     SMC    u = smc_k x - smc_rho sign(smc_c x)
+ *     IHC    u = k_lin x + sum_i (kz_i s^(n-i+1) - kz_i) z_i      eq. (8), Remark 5,   r = ||x||_d, eq. (12)
+ *
+ * Pure functions of their arguments: no allocation, no globals, no input or output, every loop bounded. The order of
+ * operations is that of the Python twin.
+ */
+#ifndef IHC_CONTROLLER_H
+#define IHC_CONTROLLER_H
+
+#include <stdint.h>
+
+enum { IHC_ORDER = 4, IHC_COEFFICIENTS = 2 * IHC_ORDER - 1, IHC_NEWTON_LIMIT = 100, IHC_MAX_J = 60, IHC_BISECTIONS = 100 };
+
+enum { IHC_LAW_LC = 1, IHC_LAW_SMC, IHC_LAW_IHC };                       /* law */
+enum { IHC_NORM_ALGORITHM1 = 1, IHC_NORM_EXACT };                        /* norm_solver */
+enum { IHC_EXPLICIT = 1, IHC_SEMI_IMPLICIT };                            /* discretization */
+enum { IHC_VELOCITY_FILTER = 1, IHC_VELOCITY_INPUT, IHC_VELOCITY_KALMAN }; /* velocity_source */
+enum { IHC_IDLE = 1, IHC_SWING_UP, IHC_STABILIZING, IHC_FAULT };         /* mode */
+enum { IHC_FAULT_NONE = 1, IHC_FAULT_INPUT, IHC_FAULT_CONTROL };         /* fault */
+
+typedef enum {
+    IHC_OK = 0,
+    IHC_NEW_FAULT,            /* the step worked; the controller has just faulted, see the output `fault` */
+    IHC_SINGULAR_PHI,         /* Phi is not regular */
+    IHC_LIMITS,               /* a_min exceeds b_max */
+    IHC_ANGLES,               /* capture_angle exceeds fall_back_angle */
+    IHC_KALMAN_TIME,          /* the Kalman filter's gain is for another sample time */
+    IHC_STEP_NOT_DIVISOR,     /* sample_time is no multiple of the communication step */
+    IHC_SAMPLE_MISSED         /* a sample instant was stepped over */
+} ihc_status;
+
+/* Parameters, named as in the FMU. */
+typedef struct {
+    int law, norm_solver, discretization, velocity_source;
+    double k_lin[IHC_ORDER];                   /* gain of the linear controller [V/rad, V.s/rad] */
+    double row[IHC_ORDER];                     /* row of the chain form, e_n' Phi A */
+    double Phi[IHC_ORDER][IHC_ORDER];          /* z = Phi x */
+    double P[IHC_ORDER * (IHC_ORDER + 1) / 2]; /* upper triangle by rows of P, the unit ball x' P x <= 1 */
+    double mu;                                 /* minus the degree of homogeneity [1] */
+    double a_min, b_max;                       /* limits of the norm in the law [1] */
+    int j_max;                                 /* bisections per sample in Algorithm 1 */
+    double smc_c[IHC_ORDER];                   /* sliding surface */
+    double smc_k[IHC_ORDER];                   /* linear part of the sliding mode law */
+    double smc_rho;                            /* switching gain [V] */
+    double sample_time;                        /* [s] */
+    double voltage_limit;                      /* [V] */
+    double velocity_filter_cutoff;             /* w of w s/(s + w) [rad/s] */
+    int enabled, swing_up_enabled;             /* [Boolean] */
+    double swing_up_energy_gain;               /* k_e [rad/(s2 J)] */
+    double swing_up_acceleration_limit;        /* [rad/s2] */
+    double swing_up_arm_stiffness;             /* k_th [1/s2] */
+    double swing_up_arm_damping;               /* k_d [1/s] */
+    double swing_up_energy_offset;             /* e_o in m_p g_p L_p/2 [1] */
+    double swing_up_velocity_scale;            /* v_s [rad/s] */
+    double capture_level;                      /* of x' P x [1] */
+    double capture_angle;                      /* [rad] */
+    double capture_velocity;                   /* [rad/s] */
+    double fall_back_angle;                    /* [rad] */
+    double nominal_arm_inertia;                /* J_r + psi [kg.m2] */
+    double nominal_pendulum_inertia;           /* J_p + zeta/4 [kg.m2] */
+    double nominal_swing_inertia;              /* zeta/4 [kg.m2] */
+    double nominal_coupling;                   /* varpi/2 [kg.m2] */
+    double nominal_gravity_torque;             /* m_p g_p L_p/2 [N.m] */
+    double nominal_arm_damping;                /* D_r [N.m.s/rad] */
+    double nominal_pendulum_damping;           /* D_p [N.m.s/rad] */
+    double nominal_torque_per_volt;            /* k_m/R_m [N.m/V] */
+    double nominal_motor_damping;              /* k_m^2/R_m [N.m.s/rad] */
+    double kalman_M[6][2];                     /* gain of the Kalman filter */
+    double kalman_sample_time;                 /* sample time that it is for [s] */
+    double kalman_angle;                       /* beyond it the observer's gains are used [rad] */
+    int compensate_disturbance;                /* [Boolean] */
+    double observer_acceleration_noise;        /* [rad2/s3] */
+    double observer_resolution;                /* [rad] */
+} ihc_params;
+
+typedef struct {
+    double theta, delta;         /* measured angles [rad] */
+    double theta_dot, delta_dot; /* [rad/s], used with velocity_source input */
+} ihc_inputs;
+
+typedef struct {
+    double voltage;               /* [V] */
+    double homogeneous_norm;      /* ||x||_d [1] */
+    double homogeneous_norm_used; /* r in the law [1] */
+    int mode;                     /* IHC_IDLE ... IHC_FAULT */
+    double theta_dot_estimate;    /* [rad/s] */
+    double delta_dot_estimate;    /* [rad/s] */
+    double disturbance_estimate;  /* [V] */
+    double bias_estimate;         /* [rad] */
+    int fault;                    /* IHC_FAULT_NONE ... */
+} ihc_outputs;
+
+/* What follows from the parameters alone; made by ihc_prepare, again after a parameter changed. */
+typedef struct {
+    double kz[IHC_ORDER];            /* (k_lin + row) Phi^-1 */
+    double row_z[IHC_ORDER];         /* row Phi^-1 */
+    double Pz[IHC_ORDER][IHC_ORDER]; /* Phi^-T P Phi^-1 */
+    double decay;                    /* of the velocity filter over a sample [1] */
+    double observer_gain[2];         /* on the angle [1] and the velocity [1/s] */
+    double bias_decay;               /* over a sample [1] */
+} ihc_prepared;
+
+/* Everything that changes during a run. */
+typedef struct {
+    double start_time;     /* [s] */
+    int64_t next_sample;   /* index of the next sample instant */
+    double voltage;        /* held since the last sample [V] */
+    double measured_delta; /* as received last [rad] */
+    double theta_lag;      /* velocity filter [rad] */
+    double delta_lag;      /* velocity filter, unwrapped [rad] */
+    double observed[4];    /* observer or Kalman filter: theta, delta unwrapped, theta', delta' */
+    double interval[2];    /* [a, b] of Algorithm 1 */
+    double norm;           /* homogeneous norm */
+    double norm_used;      /* its value in the law */
+    double disturbance;    /* Kalman filter's estimate [V] */
+    double bias;           /* Kalman filter's estimate [rad] */
+    double theta_dot;      /* velocity that the law uses [rad/s] */
+    double delta_dot;
+    int64_t turns;         /* whole turns by which the measured delta has been unwrapped */
+    int32_t primed;        /* whether the estimators have seen a finite measurement */
+    int32_t mode;
+    int32_t fault;
+    int32_t bad_inputs;    /* bit i: input i was not finite when the fault came */
+} ihc_state;
+
+/* Compute what follows from the parameters; refuses those that contradict each other. */
+ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q);
+
+/* Start the sample clock at `time` [s]; with finite measurements start the estimators from rest there. */
+void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, const ihc_inputs *u);
+
+/* Sample the inputs where a sample instant falls on `time` [s]; hold the voltage otherwise. */
+ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step,
+                    const ihc_inputs *u);
+
+void ihc_get_outputs(const ihc_state *s, ihc_outputs *y);
+
+/* The parts, for tests and other units. */
+
+/* c_0 ... c_{2n-2} of Remark 5's polynomial. */
+void ihc_norm_polynomial(const double Pz[IHC_ORDER][IHC_ORDER], const double z[IHC_ORDER], double c[IHC_COEFFICIENTS]);
+
+/* N^2(r) = r^-2 sum c_m s^m. */
+double ihc_squared_norm(const double c[IHC_COEFFICIENTS], double mu, double r);
+
+/* The root of N(r) = 1 by a bracketed Newton method of at most IHC_NEWTON_LIMIT iterations. */
+double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double guess);
+
+/* One run of Algorithm 1 (corrected) on the interval [a, b]; j_max + 2 evaluations of the polynomial at most. */
+void ihc_bisection_update(const double c[IHC_COEFFICIENTS], double mu, double interval[2], double a_min, double b_max,
+                          int j_max);
+
+double ihc_law_linear(const double k_lin[IHC_ORDER], const double x[IHC_ORDER]);
+double ihc_law_sliding_mode(const double c[IHC_ORDER], const double k[IHC_ORDER], double rho, const double x[IHC_ORDER]);
+double ihc_law_homogeneous(const double k_lin[IHC_ORDER], const double kz[IHC_ORDER], double mu, double r,
+                           const double x[IHC_ORDER], const double z[IHC_ORDER]);
+double ihc_law_semi_implicit(const double kz[IHC_ORDER], const double row_z[IHC_ORDER], double mu, double r, double h,
+                             const double z[IHC_ORDER]);
+
+#endif

@@ -1,0 +1,104 @@
+/* The controller as a unit of the FMI adapter. */
+#include <stdio.h>
+
+#include "fmu_unit.h"
+#include "ihc_controller.h"
+#include "ihc_controller_table.h" /* generated: VARIABLES and what they count */
+
+static int prepare(const void *parameters, void *prepared)
+{
+    return (int)ihc_prepare(parameters, prepared);
+}
+
+static int initialize(const void *parameters, const void *prepared, void *state, double time, const void *inputs)
+{
+    ihc_initialize(parameters, prepared, state, time, inputs);
+    return IHC_OK;
+}
+
+static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+{
+    return (int)ihc_step(parameters, prepared, state, time, length, inputs);
+}
+
+static void get_outputs(const void *parameters, const void *prepared, const void *state, void *outputs)
+{
+    (void)parameters;
+    (void)prepared;
+    ihc_get_outputs(state, outputs);
+}
+
+static int state_is_valid(const void *state)
+{
+    (void)state; /* holds no index */
+    return 1;
+}
+
+static void explain_fault(const ihc_state *s, const ihc_inputs *u, char *text, size_t size)
+{
+    const char *const names[] = {"theta", "delta", "theta_dot", "delta_dot"};
+    const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot};
+    char cause[128] = "the command is not finite";
+    for (int i = 3; i >= 0 && s->fault == IHC_FAULT_INPUT; i--) {
+        if (s->bad_inputs & 1 << i) {
+            snprintf(cause, sizeof cause, "%s = %g", names[i], values[i]);
+        }
+    }
+    snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",
+             s->fault == IHC_FAULT_INPUT ? "non_finite_input" : "non_finite_control", cause);
+}
+
+static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,
+                              char *text, size_t size)
+{
+    const ihc_params *p = parameters;
+    const ihc_state *s = state;
+    switch (status) {
+    case IHC_NEW_FAULT:
+        explain_fault(s, inputs, text, size);
+        return FMU_WARNING;
+    case IHC_SINGULAR_PHI:
+        snprintf(text, size, "Phi must be regular, found a singular matrix");
+        break;
+    case IHC_LIMITS:
+        snprintf(text, size, "a_min must not exceed b_max, found a_min = %g and b_max = %g", p->a_min, p->b_max);
+        break;
+    case IHC_ANGLES:
+        snprintf(text, size, "capture_angle must not exceed fall_back_angle, found %g and %g rad", p->capture_angle,
+                 p->fall_back_angle);
+        break;
+    case IHC_KALMAN_TIME:
+        snprintf(text, size,
+                 "velocity_source kalman needs a gain for the sample_time, found kalman_sample_time = %g s and "
+                 "sample_time = %g s",
+                 p->kalman_sample_time, p->sample_time);
+        break;
+    case IHC_STEP_NOT_DIVISOR:
+        snprintf(text, size,
+                 "sample_time must be a multiple of the communication step, found sample_time = %g s and a communication "
+                 "step of %g s",
+                 p->sample_time, length);
+        break;
+    default:
+        snprintf(text, size, "sample %ld of sample_time %g s was stepped over", (long)s->next_sample, p->sample_time);
+    }
+    return FMU_REFUSED;
+}
+
+const fmu_unit fmu_the_unit = {
+    .model_identifier = MODEL_IDENTIFIER,
+    .variables = VARIABLES,
+    .variable_count = VARIABLE_COUNT,
+    .parameters_size = sizeof(ihc_params),
+    .inputs_size = sizeof(ihc_inputs),
+    .outputs_size = sizeof(ihc_outputs),
+    .prepared_size = sizeof(ihc_prepared),
+    .state_size = sizeof(ihc_state),
+    .prepare = prepare,
+    .initialize = initialize,
+    .step = step,
+    .get_outputs = get_outputs,
+    .state_is_valid = state_is_valid,
+    .explain = explain,
+    .continuous = NULL,
+};

@@ -1,0 +1,21 @@
+"""The controller in C.
+
+Standard library only: this module also runs while the package is being built.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fmu_export.native_unit import NativeUnit
+
+from .interface import INTERFACE
+from .unit import IhcControllerUnit
+
+NATIVE = NativeUnit(
+    interface=INTERFACE,
+    twin=IhcControllerUnit,
+    folder=Path(__file__).parent / "native",
+    stem="ihc_controller",
+    prefix="ihc",
+)

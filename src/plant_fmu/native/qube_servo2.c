@@ -1,0 +1,325 @@
+#include "qube_servo2.h"
+
+#include <math.h>
+
+static const double PI = 3.14159265358979323846;
+static const double STEPS_PER_TIME_CONSTANT = 2.0;
+
+qube_coefficients qube_lump(const qube_params *p)
+{
+    const double zeta = p->m_p * (p->L_p * p->L_p);
+    qube_coefficients c;
+    c.J_11 = p->J_r + p->m_p * (p->L_r * p->L_r);
+    c.J_22 = p->J_p + zeta / 4.0;
+    c.zeta_4 = zeta / 4.0;
+    c.varpi_2 = p->m_p * p->L_p * p->L_r / 2.0;
+    c.gravity = p->m_p * p->g_p * p->L_p / 2.0;
+    c.D_r = p->D_r;
+    c.D_p = p->D_p;
+    c.k_m = p->k_m;
+    c.k_e = p->back_emf ? p->k_m : 0.0;
+    c.R_m = p->R_m;
+    c.L_m = p->L_m;
+    return c;
+}
+
+/* Solve eq. (5) for theta'', delta''. */
+static void accelerations(const qube_coefficients *c, double delta, double theta_dot, double delta_dot, double tau,
+                          double tau_p, double *theta_ddot, double *delta_ddot)
+{
+    const double s = sin(delta), k = cos(delta);
+    const double j_11 = c->J_11 + c->zeta_4 * s * s;
+    const double j_12 = -c->varpi_2 * k;
+    const double sk = c->zeta_4 * s * k;
+    const double r_1 = tau - (2.0 * sk * delta_dot + c->D_r) * theta_dot - c->varpi_2 * s * delta_dot * delta_dot;
+    const double r_2 = tau_p + sk * theta_dot * theta_dot - c->D_p * delta_dot + c->gravity * s;
+    const double determinant = j_11 * c->J_22 - j_12 * j_12;
+    *theta_ddot = (c->J_22 * r_1 - j_12 * r_2) / determinant;
+    *delta_ddot = (j_11 * r_2 - j_12 * r_1) / determinant;
+}
+
+void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
+              double pendulum_torque, double dx[QUBE_STATES])
+{
+    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const double tau = inductance ? c->k_m * x[4] : c->k_m * (voltage - c->k_e * x[2]) / c->R_m;
+    dx[0] = x[2];
+    dx[1] = x[3];
+    accelerations(c, x[1], x[2], x[3], tau, pendulum_torque, &dx[2], &dx[3]);
+    dx[4] = inductance ? (voltage - c->R_m * x[4] - c->k_e * x[2]) / c->L_m : 0.0;
+}
+
+/* Derivative of qube_rhs in the direction of dx, dvoltage and dtorque; x' itself is given as `rate`. */
+static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES],
+                        double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
+                        double dvoltage, double dtorque, double out[QUBE_STATES])
+{
+    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const double s = sin(x[1]), k = cos(x[1]), ds = k * dx[1], dk = -s * dx[1];
+    const double v = x[2], w = x[3], dv = dx[2], dw = dx[3];
+    const double j_11 = c->J_11 + c->zeta_4 * s * s, dj_11 = 2.0 * c->zeta_4 * s * ds;
+    const double j_12 = -c->varpi_2 * k, dj_12 = -c->varpi_2 * dk;
+    const double sk = c->zeta_4 * s * k, dsk = c->zeta_4 * (ds * k + s * dk);
+    const double determinant = j_11 * c->J_22 - j_12 * j_12, ddeterminant = dj_11 * c->J_22 - 2.0 * j_12 * dj_12;
+    /* M(q) q'' = r, so r follows from the accelerations */
+    const double r_1 = j_11 * rate[2] + j_12 * rate[3];
+    const double r_2 = pendulum_torque + sk * v * v - c->D_p * w + c->gravity * s;
+    const double dtau = inductance ? c->k_m * dx[4] : c->k_m * (dvoltage - c->k_e * dv) / c->R_m;
+    const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + c->D_r) * dv
+        - c->varpi_2 * (ds * w * w + 2.0 * s * w * dw);
+    const double dr_2 = dtorque + dsk * v * v + 2.0 * sk * v * dv - c->D_p * dw + c->gravity * ds;
+    out[0] = dv;
+    out[1] = dw;
+    out[2] = (c->J_22 * dr_1 - j_12 * dr_2 - dj_12 * r_2 - rate[2] * ddeterminant) / determinant;
+    out[3] = (j_11 * dr_2 + dj_11 * r_2 - j_12 * dr_1 - dj_12 * r_1 - rate[3] * ddeterminant) / determinant;
+    out[4] = inductance ? (dvoltage - c->R_m * dx[4] - c->k_e * dv) / c->L_m : 0.0;
+}
+
+double qube_energy(const qube_coefficients *c, double delta, double theta_dot, double delta_dot)
+{
+    const double s = sin(delta), k = cos(delta);
+    double kinetic = 0.5 * (c->J_11 + c->zeta_4 * s * s) * theta_dot * theta_dot;
+    kinetic += 0.5 * c->J_22 * delta_dot * delta_dot - c->varpi_2 * k * theta_dot * delta_dot;
+    return kinetic + c->gravity * (k - 1.0);
+}
+
+/* SplitMix64 (Steele, Lea and Flood, OOPSLA 2014). */
+static uint64_t next_random(uint64_t *state)
+{
+    uint64_t z = (*state += UINT64_C(0x9E3779B97F4A7C15));
+    z = (z ^ (z >> 30)) * UINT64_C(0xBF58476D1CE4E5B9);
+    z = (z ^ (z >> 27)) * UINT64_C(0x94D049BB133111EB);
+    return z ^ (z >> 31);
+}
+
+/* A standard normal number by the Box-Muller transformation of two draws. */
+static double next_gaussian(uint64_t *state)
+{
+    const uint64_t first = next_random(state);
+    const uint64_t second = next_random(state);
+    const double radius = sqrt(-2.0 * log((double)((first >> 11) + 1) * 0x1p-53));
+    return radius * cos(2.0 * PI * ((double)(second >> 11) * 0x1p-53));
+}
+
+/* What an encoder reports: r floor(angle/r + offset), r = 2 pi/counts. */
+static double quantize(double angle, int counts, double offset)
+{
+    if (counts == 0) {
+        return angle;
+    }
+    const double resolution = 2.0 * PI / counts;
+    return resolution * floor(angle / resolution + offset);
+}
+
+static double measure(const qube_params *p, uint64_t *random_state, double angle, double offset)
+{
+    if (p->noise_std != 0.0) {
+        angle += p->noise_std * next_gaussian(random_state);
+    }
+    return quantize(angle, p->encoder_counts, offset);
+}
+
+static void append_measurement(const qube_params *p, qube_state *s)
+{
+    const int32_t capacity = QUBE_MAX_DELAY + 1;
+    while (s->count > s->delay_steps) {
+        s->oldest = (s->oldest + 1) % capacity;
+        s->count--;
+    }
+    double *entry = s->delay_line[(s->oldest + s->count) % capacity];
+    entry[0] = measure(p, &s->random_state, s->x[0], p->theta_encoder_offset);
+    entry[1] = measure(p, &s->random_state, s->x[1], p->delta_encoder_offset);
+    s->count++;
+}
+
+static int admissible(const qube_params *p)
+{
+    return p->m_p > 0.0 && p->L_p > 0.0 && p->J_p > 0.0 && p->D_p >= 0.0 && p->L_r > 0.0 && p->J_r > 0.0 && p->D_r >= 0.0
+        && p->g_p > 0.0 && p->R_m > 0.0 && p->k_m > 0.0 && p->L_m > 0.0;
+}
+
+qube_status qube_initialize(const qube_params *p, qube_state *s)
+{
+    static const qube_state zero;
+    if (!admissible(p)) {
+        return QUBE_NOT_POSITIVE;
+    }
+    *s = zero;
+    s->x[0] = p->theta_0;
+    s->x[1] = p->delta_0;
+    s->x[2] = p->theta_dot_0;
+    s->x[3] = p->delta_dot_0;
+    s->random_state = (uint64_t)p->noise_seed;
+    append_measurement(p, s);
+    return QUBE_OK;
+}
+
+/* Take the delay as a number of communication steps, which may then not change any more. */
+static qube_status count_delay(const qube_params *p, double step, int32_t *delay_steps)
+{
+    const double ratio = p->measurement_delay / step;
+    if (ratio > (double)QUBE_MAX_DELAY + 0.5) {
+        return QUBE_DELAY_TOO_LONG;
+    }
+    *delay_steps = (int32_t)nearbyint(ratio);
+    return fabs(ratio - *delay_steps) > 1e-6 ? QUBE_DELAY_NOT_MULTIPLE : QUBE_OK;
+}
+
+static double clamp(double value, double limit)
+{
+    const double low = value > -limit ? value : -limit;
+    return low < limit ? low : limit;
+}
+
+/* One classical Runge-Kutta step of length h. */
+static void rk4_step(const qube_params *p, const qube_coefficients *c, double x[QUBE_STATES], double voltage,
+                     double tau_p, double h)
+{
+    double k1[QUBE_STATES], k2[QUBE_STATES], k3[QUBE_STATES], k4[QUBE_STATES], y[QUBE_STATES];
+    qube_rhs(p, c, x, voltage, tau_p, k1);
+    for (int i = 0; i < QUBE_STATES; i++) {
+        y[i] = x[i] + 0.5 * h * k1[i];
+    }
+    qube_rhs(p, c, y, voltage, tau_p, k2);
+    for (int i = 0; i < QUBE_STATES; i++) {
+        y[i] = x[i] + 0.5 * h * k2[i];
+    }
+    qube_rhs(p, c, y, voltage, tau_p, k3);
+    for (int i = 0; i < QUBE_STATES; i++) {
+        y[i] = x[i] + h * k3[i];
+    }
+    qube_rhs(p, c, y, voltage, tau_p, k4);
+    for (int i = 0; i < QUBE_STATES; i++) {
+        x[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
+    }
+}
+
+/* The smallest number of equal substeps of `step` that are not longer than `largest`, up to rounding. */
+static double substeps(double step, double largest)
+{
+    const double count = -floor(-(step / largest) * (1.0 - 1e-9));
+    return count > 1.0 ? count : 1.0;
+}
+
+qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u, double step)
+{
+    const qube_coefficients c = qube_lump(p);
+    double longest = p->solver_step;
+    int32_t delay_steps = 0;
+    if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
+        return QUBE_INPUT_NOT_FINITE;
+    }
+    if (p->motor_model == QUBE_MOTOR_INDUCTANCE) {
+        longest = fmin(longest, p->L_m / p->R_m / STEPS_PER_TIME_CONSTANT);
+    }
+    const double count = substeps(step, longest);
+    if (count > (double)QUBE_MAX_SUBSTEPS) {
+        return QUBE_TOO_MANY_SUBSTEPS;
+    }
+    if (p->measurement_delay != 0.0) {
+        if (s->delayed_step != 0.0 && fabs(step - s->delayed_step) > 1e-6 * step) {
+            return QUBE_STEP_CHANGED;
+        }
+        const qube_status status = count_delay(p, step, &delay_steps);
+        if (status != QUBE_OK) {
+            return status;
+        }
+    }
+    const double voltage = clamp(u->voltage + u->disturbance_voltage, p->voltage_limit);
+    const double h = step / count;
+    double x[QUBE_STATES], sum = 0.0;
+    for (int i = 0; i < QUBE_STATES; i++) {
+        x[i] = s->x[i];
+    }
+    for (int i = 0; i < (int)count; i++) {
+        rk4_step(p, &c, x, voltage, u->pendulum_torque, h);
+    }
+    for (int i = 0; i < QUBE_STATES; i++) {
+        sum += x[i];
+    }
+    if (!isfinite(sum)) {
+        return QUBE_DIVERGED;
+    }
+    for (int i = 0; i < QUBE_STATES; i++) {
+        s->x[i] = x[i];
+    }
+    s->applied_voltage = voltage;
+    s->applied_torque = u->pendulum_torque;
+    if (p->measurement_delay != 0.0) {
+        s->delay_steps = delay_steps;
+        s->delayed_step = step;
+    }
+    append_measurement(p, s);
+    return QUBE_OK;
+}
+
+void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y)
+{
+    const qube_coefficients c = qube_lump(p);
+    double rate[QUBE_STATES];
+    qube_rhs(p, &c, s->x, s->applied_voltage, s->applied_torque, rate);
+    y->theta = s->x[0];
+    y->delta = s->x[1];
+    y->theta_dot = s->x[2];
+    y->delta_dot = s->x[3];
+    y->theta_encoder = s->delay_line[s->oldest][0];
+    y->delta_encoder = s->delay_line[s->oldest][1];
+    y->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
+    y->motor_torque = c.k_m * y->current;
+    y->energy = qube_energy(&c, y->delta, y->theta_dot, y->delta_dot);
+    y->theta_ddot = rate[2];
+    y->delta_ddot = rate[3];
+    y->current_dot = rate[4];
+}
+
+int qube_state_count(const qube_params *p)
+{
+    return p->motor_model == QUBE_MOTOR_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
+}
+
+qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
+{
+    double *entry = s->delay_line[s->oldest];
+    if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
+        return QUBE_INPUT_NOT_FINITE;
+    }
+    s->applied_voltage = clamp(u->voltage + u->disturbance_voltage, p->voltage_limit);
+    s->applied_torque = u->pendulum_torque;
+    entry[0] = quantize(s->x[0], p->encoder_counts, p->theta_encoder_offset);
+    entry[1] = quantize(s->x[1], p->encoder_counts, p->delta_encoder_offset);
+    return QUBE_OK;
+}
+
+void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *u, const double dx[QUBE_STATES],
+                  const qube_inputs *du, qube_outputs *dy)
+{
+    const qube_coefficients c = qube_lump(p);
+    const double free = fabs(u->voltage + u->disturbance_voltage) < p->voltage_limit ? 1.0 : 0.0;
+    const double dvoltage = free * (du->voltage + du->disturbance_voltage);
+    const double seen = p->encoder_counts == 0 ? 1.0 : 0.0;
+    const double sine = sin(s->x[1]), cosine = cos(s->x[1]), v = s->x[2], w = s->x[3];
+    double rate[QUBE_STATES], drate[QUBE_STATES];
+    qube_rhs(p, &c, s->x, s->applied_voltage, s->applied_torque, rate);
+    rhs_tangent(p, &c, s->x, s->applied_torque, rate, dx, dvoltage, du->pendulum_torque, drate);
+    dy->theta = dx[0];
+    dy->delta = dx[1];
+    dy->theta_dot = dx[2];
+    dy->delta_dot = dx[3];
+    dy->theta_encoder = seen * dx[0];
+    dy->delta_encoder = seen * dx[1];
+    dy->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
+    dy->motor_torque = c.k_m * dy->current;
+    dy->energy = (c.zeta_4 * sine * cosine * v * v + c.varpi_2 * sine * v * w - c.gravity * sine) * dx[1]
+        + ((c.J_11 + c.zeta_4 * sine * sine) * v - c.varpi_2 * cosine * w) * dx[2]
+        + (c.J_22 * w - c.varpi_2 * cosine * v) * dx[3];
+    dy->theta_ddot = drate[2];
+    dy->delta_ddot = drate[3];
+    dy->current_dot = drate[4];
+}
+
+int qube_state_is_valid(const qube_state *s)
+{
+    const int32_t capacity = QUBE_MAX_DELAY + 1;
+    return s->oldest >= 0 && s->oldest < capacity && s->count >= 1 && s->count <= capacity && s->delay_steps >= 0
+        && s->delay_steps < capacity;
+}

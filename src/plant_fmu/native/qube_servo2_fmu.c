@@ -1,0 +1,160 @@
+/* The plant as a unit of the FMI adapter. */
+#include <stdio.h>
+
+#include "fmu_unit.h"
+#include "qube_servo2.h"
+#include "qube_servo2_table.h" /* generated: VARIABLES and what they count */
+
+static int prepare(const void *parameters, void *prepared)
+{
+    (void)parameters;
+    (void)prepared;
+    return QUBE_OK;
+}
+
+static int initialize(const void *parameters, const void *prepared, void *state, double time, const void *inputs)
+{
+    (void)prepared;
+    (void)time;
+    (void)inputs;
+    return (int)qube_initialize(parameters, state);
+}
+
+static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+{
+    (void)prepared;
+    (void)time;
+    return (int)qube_step(parameters, state, inputs, length);
+}
+
+static void get_outputs(const void *parameters, const void *prepared, const void *state, void *outputs)
+{
+    (void)prepared;
+    qube_get_outputs(parameters, state, outputs);
+}
+
+static int state_is_valid(const void *state)
+{
+    return qube_state_is_valid(state);
+}
+
+static size_t state_count(const void *parameters)
+{
+    return (size_t)qube_state_count(parameters);
+}
+
+static double *states(void *state)
+{
+    qube_state *s = state;
+    return s->x;
+}
+
+static int hold(const void *parameters, const void *prepared, void *state, const void *inputs)
+{
+    (void)prepared;
+    return (int)qube_hold(parameters, state, inputs);
+}
+
+static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs, const double *dx,
+                       const void *dinputs, void *doutputs)
+{
+    (void)prepared;
+    qube_tangent(parameters, state, inputs, dx, dinputs, doutputs);
+}
+
+static const char *objection(const void *parameters)
+{
+    const qube_params *p = parameters;
+    if (p->noise_std != 0.0) {
+        return "noise_std must be 0: noise is drawn at communication points, which there are none of";
+    }
+    if (p->measurement_delay != 0.0) {
+        return "measurement_delay must be 0: it is counted in communication steps, which there are none of";
+    }
+    return NULL;
+}
+
+/* The first physical constant that is not positive. */
+static const char *not_positive(const qube_params *p)
+{
+    const char *const names[] = {"m_p", "L_p", "J_p", "L_r", "J_r", "g_p", "R_m", "k_m", "L_m"};
+    const double values[] = {p->m_p, p->L_p, p->J_p, p->L_r, p->J_r, p->g_p, p->R_m, p->k_m, p->L_m};
+    for (int i = 0; i < 9; i++) {
+        if (!(values[i] > 0.0)) {
+            return names[i];
+        }
+    }
+    return p->D_p >= 0.0 ? "D_r" : "D_p";
+}
+
+static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,
+                               char *text, size_t size)
+{
+    const qube_params *p = parameters;
+    const qube_state *s = state;
+    const qube_inputs *u = inputs;
+    switch (status) {
+    case QUBE_NOT_POSITIVE:
+        snprintf(text, size, "%s must be positive, found 0", not_positive(p));
+        break;
+    case QUBE_INPUT_NOT_FINITE:
+        snprintf(text, size,
+                 "inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = (%.17g, %.17g, %.17g)",
+                 u->voltage, u->disturbance_voltage, u->pendulum_torque);
+        break;
+    case QUBE_DELAY_NOT_MULTIPLE:
+        snprintf(text, size,
+                 "measurement_delay must be a multiple of the communication step, found %g s with a step of %g s",
+                 p->measurement_delay, length);
+        break;
+    case QUBE_DELAY_TOO_LONG:
+        snprintf(text, size,
+                 "measurement_delay must not exceed %d communication steps, found %g s with a step of %g s",
+                 (int)QUBE_MAX_DELAY, p->measurement_delay, length);
+        break;
+    case QUBE_STEP_CHANGED:
+        snprintf(text, size,
+                 "the communication step must stay the same with a measurement_delay, found %g s after %g s", length,
+                 s->delayed_step);
+        break;
+    case QUBE_TOO_MANY_SUBSTEPS:
+        snprintf(text, size, "a communication step must not exceed %d internal steps of %g s, found %g s",
+                 (int)QUBE_MAX_SUBSTEPS, p->solver_step, length);
+        break;
+    default:
+        snprintf(text, size,
+                 "the state left the range of numbers, x = (%.9g, %.9g, %.9g, %.9g, %.9g) before the step, voltage = %g, "
+                 "disturbance_voltage = %g, pendulum_torque = %g",
+                 s->x[0], s->x[1], s->x[2], s->x[3], s->x[4], u->voltage, u->disturbance_voltage, u->pendulum_torque);
+    }
+    return FMU_REFUSED;
+}
+
+static const fmu_continuous CONTINUOUS = {
+    .states = STATES,
+    .derivatives = DERIVATIVES,
+    .most = QUBE_STATES,
+    .count = state_count,
+    .values = states,
+    .hold = hold,
+    .tangent = tangent,
+    .objection = objection,
+};
+
+const fmu_unit fmu_the_unit = {
+    .model_identifier = MODEL_IDENTIFIER,
+    .variables = VARIABLES,
+    .variable_count = VARIABLE_COUNT,
+    .parameters_size = sizeof(qube_params),
+    .inputs_size = sizeof(qube_inputs),
+    .outputs_size = sizeof(qube_outputs),
+    .prepared_size = 0,
+    .state_size = sizeof(qube_state),
+    .prepare = prepare,
+    .initialize = initialize,
+    .step = step,
+    .get_outputs = get_outputs,
+    .state_is_valid = state_is_valid,
+    .explain = explain,
+    .continuous = &CONTINUOUS,
+};

@@ -1,0 +1,56 @@
+"""The plant in C, and its structure for model exchange.
+
+Standard library only: this module also runs while the package is being built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from fmu_export.model_description import ModelExchange
+from fmu_export.native_unit import NativeUnit
+from fmu_export.variables import Value
+
+from .interface import INTERFACE, MOTOR_MODELS
+from .unit import QubePlant
+
+_VOLTAGES = ("voltage", "disturbance_voltage")
+
+
+def _model_exchange(inductance: bool) -> ModelExchange:
+    """Return the structure of eq. (5) with the static motor (4 states) or with inductance (5)."""
+    current = ("current",) if inductance else (*_VOLTAGES, "theta_dot")
+    accelerations = ("pendulum_torque", "delta", "theta_dot", "delta_dot", *current)
+    dependencies: dict[str, tuple[str, ...]] = {
+        **{name: (name,) for name in ("theta", "delta", "theta_dot", "delta_dot")},
+        "theta_encoder": ("theta",),
+        "delta_encoder": ("delta",),
+        "current": current,
+        "motor_torque": current,
+        "energy": ("delta", "theta_dot", "delta_dot"),
+        "theta_ddot": tuple(dict.fromkeys(accelerations)),
+        "delta_ddot": tuple(dict.fromkeys(accelerations)),
+        "current_dot": (*_VOLTAGES, "theta_dot", "current"),
+    }
+    states = ("theta", "delta", "theta_dot", "delta_dot")
+    derivatives = ("theta_dot", "delta_dot", "theta_ddot", "delta_ddot")
+    if inductance:
+        states, derivatives = (*states, "current"), (*derivatives, "current_dot")
+    return ModelExchange(states, derivatives, dependencies)
+
+
+def model_exchange(start: Mapping[str, Value]) -> ModelExchange:
+    """Return the structure of an FMU with these start values."""
+    return _model_exchange(inductance=MOTOR_MODELS[int(start["motor_model"]) - 1] == "inductance")
+
+
+NATIVE = NativeUnit(
+    interface=INTERFACE,
+    twin=QubePlant,
+    folder=Path(__file__).parent / "native",
+    stem="qube_servo2",
+    prefix="qube",
+    model_exchange=model_exchange,
+    largest_model_exchange=_model_exchange(inductance=True),
+)
