@@ -36,7 +36,7 @@ class _Wire(ctypes.Structure):
 
 
 class _Signal(ctypes.Structure):
-    _fields_ = [("values", _P), ("target", _P)]
+    _fields_ = [("values", _P), ("target", _P), ("size", _Z)]
 
 
 class _Instance(ctypes.Structure):
@@ -111,7 +111,7 @@ class NativeLoop:
     ) -> None:
         self._advance = _advance()
         self._kept: list[Any] = [instances, inputs, outputs, tables, times]
-        self._functions: list[tuple[Callable[[float], float], np.ndarray]] = []
+        self._functions: list[tuple[Callable[[float], float], ctypes.Array]] = []
         rows = [self._instance(*parts) for parts in zip(instances, inputs, outputs, wires, signals, strict=True)]
         tables_c = [_Table(ctypes.addressof(b), t.ctypes.data, ctypes.sizeof(b)) for b, t in tables]
         self.run = _Run(
@@ -162,9 +162,10 @@ class NativeLoop:
         component, do_step = instance.pointers()
         rows = []
         for function, target in signals:
-            values = np.zeros(SIGNAL_STEPS)
+            kind: Any = target[0]._type_
+            values = (kind * SIGNAL_STEPS)()
             self._functions.append((function, values))
-            rows.append(_Signal(values.ctypes.data, _address(target)))
+            rows.append(_Signal(ctypes.addressof(values), _address(target), ctypes.sizeof(kind)))
         wire_rows = [_Wire(_address(s), _address(t), ctypes.sizeof(t[0]._type_)) for s, t in wires]
         return _Instance(
             component=component,

@@ -35,19 +35,25 @@ static int fail(loop_run *run, int32_t where, size_t instance, size_t port, int 
     return 1;
 }
 
+static void copy(void *target, const void *source, size_t size)
+{
+    if (size == sizeof(double)) { /* by far the most, and without a call */
+        memcpy(target, source, sizeof(double));
+    } else {
+        memcpy(target, source, size);
+    }
+}
+
 /* Copy what the inputs of an instance are wired to into its input ports; `k` counts from the call's first step. */
 static void gather(const loop_instance *instance, int64_t k)
 {
     for (size_t i = 0; i < instance->wire_count; i++) {
         const loop_wire *wire = &instance->wires[i];
-        if (wire->size == sizeof(double)) {
-            memcpy(wire->target, wire->source, sizeof(double));
-        } else {
-            memcpy(wire->target, wire->source, wire->size);
-        }
+        copy(wire->target, wire->source, wire->size);
     }
     for (size_t i = 0; i < instance->signal_count; i++) {
-        *instance->signals[i].target = instance->signals[i].values[k];
+        const loop_signal *signal = &instance->signals[i];
+        copy(signal->target, signal->values + (size_t)k * signal->size, signal->size);
     }
 }
 

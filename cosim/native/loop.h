@@ -33,10 +33,11 @@ typedef struct {
     size_t size;
 } loop_wire;
 
-/* An input that follows a function of time: values[k] for the steps k = first, first + 1, ... of a call. */
+/* An input that follows a function of time: its values, of `size` bytes each, in the steps of a call. */
 typedef struct {
-    const double *values;
-    double *target;
+    const unsigned char *values;
+    void *target;
+    size_t size;
 } loop_signal;
 
 typedef struct {

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.export import Kind, export_units
+from cosim.export import export_units
 from cosim.master import Component
 from cosim.results import Result
 from fmu_export.python_fmu import export_python_fmu
@@ -30,7 +30,7 @@ def design():
 def fmus(tmp_path_factory, design):
     """The folder with both FMUs and the SSP, as the command line exports them."""
     folder = tmp_path_factory.mktemp("exported FMUs")
-    export_units(design, output=folder, kind=Kind.python)
+    export_units(design, output=folder)
     return folder
 
 

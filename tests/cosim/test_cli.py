@@ -269,7 +269,7 @@ def test_a_run_that_fails_ends_with_code_1_and_leaves_its_rows(elsewhere):
     assert f"{len(result.time)} rows, to failed.partial.csv" in done.stdout + done.stderr
     assert 2 <= len(result.time) < 100
     assert result.metadata["complete"] is False
-    assert "Traceback" in "".join(result.metadata["messages"]["plant"])
+    assert re.search(r"\nat t = [\d.e-]+ s, voltage = -?10, ", "".join(result.metadata["messages"]["plant"]))
     assert not (elsewhere / "failed.png").exists()
 
 
@@ -277,7 +277,7 @@ def test_a_failed_run_without_rows_leaves_nothing(elsewhere):
     before = files(elsewhere)
     said = refused("run", "tilt", *SHORT, "--set", "controller.start.a_min=2", cwd=elsewhere, code=1)
     assert "controller: " in said
-    assert said.endswith("a_min must not exceed b_max, found a_min = 2.0 and b_max = 1.0")
+    assert said.endswith("a_min must not exceed b_max, found a_min = 2 and b_max = 1")
     assert files(elsewhere) == before
 
 

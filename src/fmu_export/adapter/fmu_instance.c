@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { ALIGNMENT = 16, MESSAGE_SIZE = 512, STATE_FORMAT = 1 };
+enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 1 };
 
 static const unsigned long SNAPSHOT_MAGIC = 0x51554245ul; /* "QUBE" */
 static const double TIME_TOLERANCE = 1e-6;                /* of a step, between the end of one and the start of the next */
@@ -38,14 +38,32 @@ fmi2Status fmu_say(const fmu_instance *m, fmi2Status status, const char *format,
     return status;
 }
 
+/* Append ", name = value" for each real input. */
+static void list_inputs(const fmu_instance *m, char *text, size_t size)
+{
+    size_t length = strlen(text);
+    for (size_t i = 0; i < m->unit->variable_count && length < size; i++) {
+        const fmu_variable *v = &m->unit->variables[i];
+        if (v->role == FMU_INPUT && v->type == FMU_REAL) {
+            const int written = snprintf(text + length, size - length, ", %s = %.9g", v->name, *(const double *)m->where[i]);
+            length += written > 0 ? (size_t)written : 0;
+        }
+    }
+}
+
 /* Say what a unit's status means; fmi2OK for a warning, fmi2Error for a refusal. */
 static fmi2Status explain(const fmu_instance *m, int status, double time, double step)
 {
     char text[MESSAGE_SIZE] = "";
     const fmu_severity severity =
         m->unit->explain(status, m->parameters, m->state, m->inputs, step, text, sizeof text);
-    fmu_say(m, severity == FMU_WARNING ? fmi2Warning : fmi2Error, "t = %.9g s: %s", time, text);
-    return severity == FMU_WARNING ? fmi2OK : fmi2Error;
+    if (severity == FMU_WARNING) {
+        fmu_say(m, fmi2Warning, "t = %.9g s: %s", time, text);
+        return fmi2OK;
+    }
+    char inputs[MESSAGE_SIZE] = "";
+    list_inputs(m, inputs, sizeof inputs);
+    return fmu_say(m, fmi2Error, "%s\nat t = %.9g s%s", text, time, inputs);
 }
 
 /* ---- Creation ---------------------------------------------------------------------------------------------------- */

@@ -123,9 +123,8 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
         break;
     default:
         snprintf(text, size,
-                 "the state left the range of numbers, x = (%.9g, %.9g, %.9g, %.9g, %.9g) before the step, voltage = %g, "
-                 "disturbance_voltage = %g, pendulum_torque = %g",
-                 s->x[0], s->x[1], s->x[2], s->x[3], s->x[4], u->voltage, u->disturbance_voltage, u->pendulum_torque);
+                 "the state left the range of numbers, x = (%.9g, %.9g, %.9g, %.9g, %.9g) before the step", s->x[0], s->x[1],
+                 s->x[2], s->x[3], s->x[4]);
     }
     return FMU_REFUSED;
 }
