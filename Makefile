@@ -16,8 +16,9 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-bench: $(VENV)/installed   ## steps per second against FMPy's own simulate_ssp
-	$(BIN)/python benchmarks/python_pair.py
+bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(BIN)/python -m benchmarks.native_pair
 
 SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_export/adapter/*.[ch] cosim/native/*.[ch])
 

@@ -206,29 +206,31 @@ def _slots(ports: Mapping[str, list[Port]]) -> dict[tuple[str, ...], tuple[ctype
 
 
 class _Recorder:
-    """Rows of recorded outputs, in arrays made before the run."""
+    """Rows of recorded outputs, in arrays made before the run: one of float64 and one of int64."""
 
     def __init__(self, exchange: _Exchange, names: Sequence[str], rows: int) -> None:
-        self.names, self.exchange, self.rows = names, exchange, 0
+        self.rows = 0
         self.time = np.zeros(rows)
-        self.buffers = {id(buffer): buffer for buffer, _ in exchange.recorded}
-        self.views = {key: np.ctypeslib.as_array(buffer) for key, buffer in self.buffers.items()}
-        self.tables = {key: np.zeros((rows, len(view)), dtype=view.dtype) for key, view in self.views.items()}
-        self.copies = [(self.tables[key], self.views[key]) for key in self.buffers]
+        is_real = {name: slot[0]._type_ is ctypes.c_double for name, slot in zip(names, exchange.recorded, strict=True)}
+        self.names = {kind: [n for n in names if is_real[n] is kind] for kind in (True, False)}
+        self.order = list(names)
+        slots = dict(zip(names, exchange.recorded, strict=True))
+        self.slots = {kind: [slots[n] for n in chosen] for kind, chosen in self.names.items()}
+        types = {True: np.float64, False: np.int64}
+        self.tables = {kind: np.zeros((rows, len(s)), types[kind]) for kind, s in self.slots.items()}
 
     def record(self, time: float) -> None:
         row = self.rows
         self.time[row] = time
-        for table, view in self.copies:
-            table[row] = view
+        for kind, table in self.tables.items():
+            table[row] = [buffer[index] for buffer, index in self.slots[kind]]
         self.rows = row + 1
 
     def result(self, coupling: Coupling, metadata: dict[str, Any]) -> Result:
-        n, signals = self.rows, {}
-        for name, (buffer, index) in zip(self.names, self.exchange.recorded, strict=True):
-            column = self.tables[id(buffer)][:n, index]
-            signals[name] = column.astype(np.float64 if column.dtype.kind == "f" else np.int64)
-        return Result(self.time[:n].copy(), signals, {name: coupling.unit(name) for name in self.names}, metadata)
+        n = self.rows
+        columns = {name: table[:n, i] for kind, table in self.tables.items() for i, name in enumerate(self.names[kind])}
+        signals = {name: columns[name] for name in self.order}
+        return Result(self.time[:n], signals, {name: coupling.unit(name) for name in self.order}, metadata)
 
 
 def simulate(
@@ -347,7 +349,7 @@ class _Run:
             self.current = name
             instance.run()
             instance.transfer(exchange.outputs[name])
-        self.recorder = _Recorder(exchange, self.recorded, self.steps // self.every + 2)
+        self.recorder = _Recorder(exchange, self.recorded, -(-self.steps // self.every) + 1)
         self.recorder.record(start_time)
 
     def _native_loop(
@@ -362,7 +364,8 @@ class _Run:
             [exchange.outputs[n] for n in names],
             [[((a, i), (b, j)) for a, i, b, j in exchange.copies[n]] for n in names],
             [[(function, (b, j)) for function, b, j in exchange.drives[n]] for n in names],
-            [(recorder.buffers[key], table) for key, table in recorder.tables.items()],
+            (recorder.slots[True], recorder.tables[True]),
+            (recorder.slots[False], recorder.tables[False]),
             recorder.time,
         )
         parallel = order == "parallel"

@@ -48,16 +48,16 @@ class _Instance(ctypes.Structure):
     ]
 
 
-class _Table(ctypes.Structure):
-    _fields_ = [("buffer", _P), ("rows", _P), ("size", _Z)]
+class _Recorded(ctypes.Structure):
+    _fields_ = [("count", _Z), ("sources", _P), ("rows", _P)]
 
 
 class _Run(ctypes.Structure):
     _fields_ = [
         ("instance_count", _Z),
-        ("table_count", _Z),
         ("instances", _P),
-        ("tables", _P),
+        ("reals", _Recorded),
+        ("integers", _Recorded),
         ("start_time", _D),
         ("step", _D),
         ("steps", _I64),
@@ -95,8 +95,9 @@ Slot = tuple[ctypes.Array, int]
 class NativeLoop:
     """The C structs of one run, and all that they point to.
 
-    `wires` and `signals` are, per instance in stepping order, (source, target) and (function of time, target); `tables` are
-    (buffer of a port, rows to fill), and `times` the rows' times, of which `recorded` are filled already.
+    `wires` and `signals` are, per instance in stepping order, (source, target) and (function of time, target); `reals`
+    and `integers` are (recorded outputs, array with a row for each record and a column for each output, of float64 and of
+    int64), and `times` the rows' times.
     """
 
     def __init__(
@@ -106,19 +107,19 @@ class NativeLoop:
         outputs: Sequence[Sequence[Port]],
         wires: Sequence[Sequence[tuple[Slot, Slot]]],
         signals: Sequence[Sequence[tuple[Callable[[float], float], Slot]]],
-        tables: Sequence[tuple[ctypes.Array, np.ndarray]],
+        reals: tuple[Sequence[Slot], np.ndarray],
+        integers: tuple[Sequence[Slot], np.ndarray],
         times: np.ndarray,
     ) -> None:
         self._advance = _advance()
-        self._kept: list[Any] = [instances, inputs, outputs, tables, times]
+        self._kept: list[Any] = [instances, inputs, outputs, reals, integers, times]
         self._functions: list[tuple[Callable[[float], float], ctypes.Array]] = []
-        rows = [self._instance(*parts) for parts in zip(instances, inputs, outputs, wires, signals, strict=True)]
-        tables_c = [_Table(ctypes.addressof(b), t.ctypes.data, ctypes.sizeof(b)) for b, t in tables]
+        stages = [self._instance(*parts) for parts in zip(instances, inputs, outputs, wires, signals, strict=True)]
         self.run = _Run(
-            instance_count=len(rows),
-            table_count=len(tables_c),
-            instances=self._array(_Instance, rows),
-            tables=self._array(_Table, tables_c),
+            instance_count=len(stages),
+            instances=self._array(_Instance, stages),
+            reals=self._recorded(*reals),
+            integers=self._recorded(*integers),
             times=times.ctypes.data,
         )
 
@@ -179,6 +180,11 @@ class NativeLoop:
             wires=self._array(_Wire, wire_rows),
             signals=self._array(_Signal, rows),
         )
+
+    def _recorded(self, slots: Sequence[Slot], rows: np.ndarray) -> _Recorded:
+        sources = (_P * max(1, len(slots)))(*[_address(s) for s in slots])
+        self._kept.append(sources)
+        return _Recorded(len(slots), ctypes.addressof(sources), rows.ctypes.data)
 
     def _array(self, kind: type[ctypes.Structure], rows: Sequence[ctypes.Structure]) -> int:
         array = (kind * max(1, len(rows)))(*rows)

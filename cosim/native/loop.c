@@ -86,9 +86,13 @@ static void record(loop_run *run)
 {
     const size_t row = (size_t)run->recorded++;
     run->times[row] = run->start_time + (double)run->done * run->step;
-    for (size_t i = 0; i < run->table_count; i++) {
-        const loop_table *table = &run->tables[i];
-        memcpy(table->rows + row * table->size, table->buffer, table->size);
+    double *reals = run->reals.rows + row * run->reals.count;
+    int64_t *integers = run->integers.rows + row * run->integers.count;
+    for (size_t i = 0; i < run->reals.count; i++) {
+        reals[i] = *run->reals.sources[i];
+    }
+    for (size_t i = 0; i < run->integers.count; i++) {
+        integers[i] = *run->integers.sources[i];
     }
 }
 

@@ -49,20 +49,27 @@ typedef struct {
     const loop_signal *signals;
 } loop_instance;
 
-/* A recorded buffer: each row of `rows` is a copy of it. */
+/* What is recorded: rows of `count` values from the sources. */
 typedef struct {
-    const void *buffer;
-    unsigned char *rows;
-    size_t size;
-} loop_table;
+    size_t count;
+    const double *const *sources;
+    double *rows;
+} loop_reals;
+
+typedef struct {
+    size_t count;
+    const int *const *sources;
+    int64_t *rows;
+} loop_integers;
 
 /* Where a call of an FMU failed. */
 enum { LOOP_INPUT = 1, LOOP_STEP, LOOP_OUTPUT };
 
 typedef struct {
-    size_t instance_count, table_count;
+    size_t instance_count;
     const loop_instance *instances;
-    const loop_table *tables;
+    loop_reals reals;
+    loop_integers integers;
     double start_time, step; /* [s] */
     int64_t steps;           /* in all */
     int64_t every;           /* steps from row to row; the last one is recorded too */

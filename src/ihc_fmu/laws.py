@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .homogeneity import dot
+from .homogeneity import dot, inverse_power
 
 Vector = Sequence[float]
 
@@ -31,7 +31,7 @@ def sliding_mode(c: Vector, k_eq: Vector, rho: float, x: Vector) -> float:
 
 def chain_gains(kz: Vector, mu: float, r: float) -> list[float]:
     """Return kz_i s^(n-i+1), s = r^-mu: the IHC's state-dependent gains in chain coordinates (Remark 5)."""
-    s = r**-mu
+    s = inverse_power(r, mu)
     gains, power = [], s
     for gain in reversed(kz):
         gains.append(gain * power)

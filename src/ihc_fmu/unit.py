@@ -40,7 +40,7 @@ class ControllerState:
     mode: int = Mode.IDLE
     fault: int = Fault.NONE
     voltage: float = 0.0  # held since the last sample [V]
-    turns: int = 0  # whole turns by which the measured delta has been unwrapped
+    turns: float = 0.0  # whole turns by which the measured delta has been unwrapped
     measured_delta: float = 0.0  # as received last [rad]
     theta_lag: float = 0.0  # velocity filter [rad]
     delta_lag: float = 0.0  # velocity filter, unwrapped [rad]
@@ -163,6 +163,8 @@ class IhcControllerUnit:
         if state.mode == Mode.FAULT:
             return []
         x = self._estimate(inputs, self._unwrap(inputs[1])) if state.primed else self._prime(inputs)
+        if not math.isfinite(x[0] + x[1] + x[2] + x[3]):
+            return self._fail(Fault.NON_FINITE_CONTROL, f"x = {x}")
         z, polynomial = self._norm_polynomial(x)
         state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
         earlier = state.mode
@@ -235,7 +237,7 @@ class IhcControllerUnit:
         state = self.state
         jump = measured - state.measured_delta
         if abs(jump) > math.pi:
-            state.turns -= round(jump / TURN)
+            state.turns -= float(round(jump / TURN))
         state.measured_delta = measured
         return measured + TURN * state.turns
 

@@ -73,8 +73,7 @@ class QubePlant:
                 f"{step:g} s"
             )
         h = step / count
-        if self.delay:
-            self._count_delay(step)
+        delay_steps = self._delay_steps(step) if self.delay else 0
         derivative, c = self.derivative, self.coefficients
 
         def f(x: Sequence[float]) -> dynamics.State:
@@ -90,6 +89,8 @@ class QubePlant:
         if not finite:
             raise ArithmeticError(f"the state left the range of numbers, x = {self.x} before the step")
         self.x, self.applied_voltage, self.applied_torque = x, applied, tau_p
+        if self.delay:
+            self.delay_steps, self.delayed_step = delay_steps, step
         self.delay_line.append(self._measure())
         while len(self.delay_line) > self.delay_steps + 1:
             self.delay_line.popleft()
@@ -137,8 +138,8 @@ class QubePlant:
         self.delayed_step = state["delayed_step"]
         self.delay_line = deque((pair[0], pair[1]) for pair in state["delay_line"])
 
-    def _count_delay(self, step: float) -> None:
-        """Take the delay as a number of communication steps, which may then not change any more."""
+    def _delay_steps(self, step: float) -> int:
+        """Return the delay as a number of communication steps, which may not change once one has been taken."""
         if self.delayed_step and abs(step - self.delayed_step) > 1e-6 * step:
             raise ValueError(
                 f"the communication step must stay the same with a measurement_delay, found {step:g} s after "
@@ -149,8 +150,7 @@ class QubePlant:
                 f"measurement_delay must not exceed {MAX_DELAY_STEPS} communication steps, found {self.delay:g} s with a "
                 f"step of {step:g} s"
             )
-        self.delay_steps = sensors.delay_in_steps(self.delay, step)
-        self.delayed_step = step
+        return sensors.delay_in_steps(self.delay, step)
 
     def _measure(self) -> Measurement:
         return self._measure_angle(self.x[0], self.offsets[0]), self._measure_angle(self.x[1], self.offsets[1])

@@ -91,7 +91,8 @@ static int allocate(fmu_instance *m)
     m->spare = calloc(1, aligned(u->parameters_size) + aligned(u->prepared_size));
     m->start = calloc(u->variable_count, sizeof *m->start);
     m->where = calloc(u->variable_count, sizeof *m->where);
-    if (m->block == NULL || m->spare == NULL || m->start == NULL || m->where == NULL) {
+    m->types = calloc(u->variable_count, sizeof *m->types);
+    if (m->block == NULL || m->spare == NULL || m->start == NULL || m->where == NULL || m->types == NULL) {
         return 0;
     }
     for (int i = 0; i < 5; i++) {
@@ -99,6 +100,7 @@ static int allocate(fmu_instance *m)
         offset += aligned(sizes[i]);
     }
     for (size_t i = 0; i < u->variable_count; i++) {
+        m->types[i] = (unsigned char)u->variables[i].type;
         m->where[i] = (unsigned char *)struct_of(m, u->variables[i].role) + u->variables[i].offset;
     }
     return 1;
@@ -162,6 +164,7 @@ void fmu_destroy(fmu_instance *m)
         free(m->spare);
         free(m->start);
         free(m->where);
+        free(m->types);
         free(m);
     }
 }
@@ -235,13 +238,16 @@ fmi2Status fmu_advance(fmu_instance *m, double time, double step)
 
 /* ---- Variables --------------------------------------------------------------------------------------------------- */
 
-static const fmu_variable *variable(const fmu_instance *m, fmu_type type, fmi2ValueReference vr)
+/* Whether all value references are of variables of the type. */
+static int known(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count)
 {
-    if (vr < m->unit->variable_count && m->unit->variables[vr].type == type) {
-        return &m->unit->variables[vr];
+    for (size_t i = 0; i < count; i++) {
+        if (vr[i] >= m->unit->variable_count || m->types[vr[i]] != type) {
+            fmu_say(m, fmi2Error, "no %s variable has the value reference %u", TYPE_NAMES[type], vr[i]);
+            return 0;
+        }
     }
-    fmu_say(m, fmi2Error, "no %s variable has the value reference %u", TYPE_NAMES[type], vr);
-    return NULL;
+    return 1;
 }
 
 /* Bring outputs up to date where they may be older than inputs, states or parameters. */
@@ -268,13 +274,15 @@ fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
             return status;
         }
     }
-    for (size_t i = 0; i < count; i++) {
-        if (variable(m, type, vr[i]) == NULL) {
-            return fmi2Error;
-        }
-        if (type == FMU_REAL) {
+    if (!known(m, type, vr, count)) {
+        return fmi2Error;
+    }
+    if (type == FMU_REAL) {
+        for (size_t i = 0; i < count; i++) {
             ((double *)values)[i] = *(const double *)m->where[vr[i]];
-        } else {
+        }
+    } else {
+        for (size_t i = 0; i < count; i++) {
             ((int *)values)[i] = *(const int *)m->where[vr[i]];
         }
     }
@@ -350,12 +358,16 @@ static fmi2Status tune(fmu_instance *m, fmu_type type, const fmi2ValueReference 
 fmi2Status fmu_set(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values)
 {
     int tunable = 0;
+    if (!known(m, type, vr, count)) {
+        return fmi2Error;
+    }
     for (size_t i = 0; i < count; i++) {
-        const fmu_variable *v = variable(m, type, vr[i]);
+        const fmu_variable *v = &m->unit->variables[vr[i]];
         const double value = type == FMU_REAL ? ((const double *)values)[i]
             : type == FMU_BOOLEAN             ? ((const int *)values)[i] != 0
                                               : ((const int *)values)[i];
-        if (v == NULL || !admissible(m, v, value)) {
+        const int usual = v->role == FMU_INPUT && value >= v->min && value <= v->max && isfinite(value);
+        if (!usual && !admissible(m, v, value)) {
             return fmi2Error;
         }
         tunable |= v->role == FMU_TUNABLE;

@@ -41,6 +41,7 @@ typedef struct {
     void *parameters, *inputs, *outputs, *prepared, *state;
     void *spare;   /* room for the parameters before a change */
     void **where;  /* address of each variable */
+    unsigned char *types; /* fmu_type of each variable, close together: looked at in every call */
     size_t states; /* continuous states in model exchange */
 } fmu_instance;
 

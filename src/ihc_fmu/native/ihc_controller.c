@@ -43,9 +43,15 @@ void ihc_norm_polynomial(const double Pz[N][N], const double z[N], double c[IHC_
     }
 }
 
+/* s = r^-mu; the division where it is one is faster and exact. */
+static double inverse_power(double r, double mu)
+{
+    return mu == 1.0 ? 1.0 / r : pow(r, -mu);
+}
+
 double ihc_squared_norm(const double c[IHC_COEFFICIENTS], double mu, double r)
 {
-    const double s = pow(r, -mu);
+    const double s = inverse_power(r, mu);
     double total = 0.0;
     for (int m = IHC_COEFFICIENTS - 1; m >= 0; m--) {
         total = total * s + c[m];
@@ -60,7 +66,7 @@ double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double 
         if (!isfinite(c[m])) {
             return NAN;
         }
-        size = fmax(size, fabs(c[m]));
+        size = fabs(c[m]) > size ? fabs(c[m]) : size;
     }
     if (size == 0.0) {
         return 0.0;
@@ -142,7 +148,7 @@ double ihc_law_sliding_mode(const double c[N], const double k[N], double rho, co
 /* kz_i s^(n-i+1), s = r^-mu. */
 static void chain_gains(const double kz[N], double mu, double r, double gains[N])
 {
-    const double s = pow(r, -mu);
+    const double s = inverse_power(r, mu);
     double power = s;
     for (int i = N - 1; i >= 0; i--) {
         gains[i] = kz[i] * power;
@@ -408,7 +414,7 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
 
 static double wrap(double angle)
 {
-    return remainder(angle, TURN);
+    return fabs(angle) <= PI ? angle : remainder(angle, TURN); /* the remainder of a small one is itself */
 }
 
 static void observed_state(const ihc_state *s, double x[N])
@@ -446,10 +452,10 @@ static double unwrap(ihc_state *s, double measured)
 {
     const double jump = measured - s->measured_delta;
     if (fabs(jump) > PI) {
-        s->turns -= (int64_t)nearbyint(jump / TURN);
+        s->turns -= nearbyint(jump / TURN);
     }
     s->measured_delta = measured;
-    return measured + TURN * (double)s->turns;
+    return measured + TURN * s->turns;
 }
 
 /* x for the law in force; advances the filter, and the observer where it is used. */
@@ -581,6 +587,9 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
         estimate(p, q, s, u, x);
     } else {
         prime(p, s, u, x);
+    }
+    if (!isfinite(x[0] + x[1] + x[2] + x[3])) {
+        return fail(s, IHC_FAULT_CONTROL);
     }
     chain_state(p, q, x, z, c);
     s->norm = ihc_homogeneous_norm(c, p->mu, s->norm);

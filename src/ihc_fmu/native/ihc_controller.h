@@ -122,7 +122,7 @@ typedef struct {
     double bias;           /* Kalman filter's estimate [rad] */
     double theta_dot;      /* velocity that the law uses [rad/s] */
     double delta_dot;
-    int64_t turns;         /* whole turns by which the measured delta has been unwrapped */
+    double turns;          /* whole turns by which the measured delta has been unwrapped */
     int32_t primed;        /* whether the estimators have seen a finite measurement */
     int32_t mode;
     int32_t fault;

@@ -38,10 +38,11 @@ static void explain_fault(const ihc_state *s, const ihc_inputs *u, char *text, s
 {
     const char *const names[] = {"theta", "delta", "theta_dot", "delta_dot"};
     const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot};
-    char cause[128] = "the command is not finite";
-    for (int i = 3; i >= 0 && s->fault == IHC_FAULT_INPUT; i--) {
+    char cause[256] = "the command is not finite";
+    int length = 0;
+    for (int i = 0; i < 4 && s->fault == IHC_FAULT_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
-            snprintf(cause, sizeof cause, "%s = %g", names[i], values[i]);
+            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %g", length ? ", " : "", names[i], values[i]);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",

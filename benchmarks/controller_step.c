@@ -1,0 +1,93 @@
+/* What a sample of the controller costs: the whole step with each law, and the laws alone.
+ *
+ * The header start_values.h with LC, ALGORITHM1 and EXACT, the start values with each law, is generated.
+ */
+#include "ihc_controller.h"
+#include "start_values.h"
+
+#define EXPORTED __attribute__((visibility("default")))
+
+enum { N = IHC_ORDER };
+
+static const ihc_params *const PARAMETERS[] = {&LC, &ALGORITHM1, &EXACT};
+
+/* Whole samples on `count` measured angles [rad]; returns how many were in the stabilizing mode, -1 on failure. */
+EXPORTED long whole_steps(int law, const double *theta, const double *delta, long count)
+{
+    const ihc_params *p = PARAMETERS[law];
+    ihc_prepared prepared;
+    ihc_state state;
+    ihc_inputs u = {theta[0], delta[0], 0.0, 0.0};
+    long stabilizing = 0;
+    if (ihc_prepare(p, &prepared) != IHC_OK) {
+        return -1;
+    }
+    ihc_initialize(p, &prepared, &state, 0.0, &u);
+    for (long k = 0; k < count; k++) {
+        u.theta = theta[k];
+        u.delta = delta[k];
+        if (ihc_step(p, &prepared, &state, (double)k * p->sample_time, p->sample_time, &u) > IHC_NEW_FAULT) {
+            return -1;
+        }
+        stabilizing += state.mode == IHC_STABILIZING;
+    }
+    return stabilizing;
+}
+
+/* The linear law alone on `count` states; returns the sum of the voltages [V]. */
+EXPORTED double linear_law(const double (*x)[N], long count)
+{
+    double sum = 0.0;
+    for (long k = 0; k < count; k++) {
+        sum += ihc_law_linear(LC.k_lin, x[k]);
+    }
+    return sum;
+}
+
+static void chain(const ihc_prepared *q, const double x[N], double z[N], double c[IHC_COEFFICIENTS])
+{
+    for (int i = 0; i < N; i++) {
+        z[i] = 0.0;
+        for (int j = 0; j < N; j++) {
+            z[i] += ALGORITHM1.Phi[i][j] * x[j];
+        }
+    }
+    ihc_norm_polynomial(q->Pz, z, c);
+}
+
+/* z = Phi x, the polynomial, Algorithm 1 and the homogeneous law alone; `a_min` in place of the parameter. */
+EXPORTED double algorithm1_law(const double (*x)[N], long count, double a_min)
+{
+    const ihc_params *p = &ALGORITHM1;
+    ihc_prepared q;
+    double sum = 0.0, z[N], c[IHC_COEFFICIENTS], interval[2];
+    if (ihc_prepare(p, &q) != IHC_OK) {
+        return 0.0;
+    }
+    interval[0] = a_min;
+    interval[1] = p->b_max;
+    for (long k = 0; k < count; k++) {
+        chain(&q, x[k], z, c);
+        ihc_bisection_update(c, p->mu, interval, a_min, p->b_max, p->j_max);
+        sum += ihc_law_homogeneous(p->k_lin, q.kz, p->mu, interval[1], x[k], z);
+    }
+    return sum;
+}
+
+/* The same with the exact norm, started from the last one. */
+EXPORTED double exact_law(const double (*x)[N], long count, double a_min)
+{
+    const ihc_params *p = &EXACT;
+    ihc_prepared q;
+    double sum = 0.0, norm = 1.0, z[N], c[IHC_COEFFICIENTS];
+    if (ihc_prepare(p, &q) != IHC_OK) {
+        return 0.0;
+    }
+    for (long k = 0; k < count; k++) {
+        chain(&q, x[k], z, c);
+        norm = ihc_homogeneous_norm(c, p->mu, norm);
+        const double r = norm < a_min ? a_min : norm > p->b_max ? p->b_max : norm;
+        sum += ihc_law_homogeneous(p->k_lin, q.kz, p->mu, r, x[k], z);
+    }
+    return sum;
+}
