@@ -271,9 +271,12 @@ class IhcControllerUnit:
             state.disturbance = state.bias = 0.0
             state.observed = velocity.observe(self.model, self.gains, state.observed, state.voltage, h, theta, delta)
         else:
-            state.observed, state.disturbance, state.bias = velocity.kalman_step(
+            observed, disturbance, bias = velocity.kalman_step(
                 self.model, self.kalman_M, state.observed, state.disturbance, state.bias, state.voltage, h, theta, delta
             )
+            if not math.isfinite(disturbance + bias):
+                raise OverflowError("the Kalman filter left the range of numbers")
+            state.observed, state.disturbance, state.bias = observed, disturbance, bias
         return self._observed()
 
     def _use_filter(self, inputs: tuple[float, ...], x: list[float]) -> list[float]:

@@ -5,6 +5,7 @@ Scripts in processes of their own import `Host` from here too, so the project is
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import subprocess
@@ -15,6 +16,7 @@ from typing import Any
 
 import pytest
 from fmpy import extract, instantiate_fmu, read_model_description
+from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
 NAMES = ("QubeServo2", "IhcController")
 HERE = Path(__file__).parent
@@ -68,6 +70,159 @@ class Host:
         return {"Enumeration": "Integer"}.get(self.variables[name].type, self.variables[name].type)
 
 
+STATUS_CALLS = ("GetStatus", "GetRealStatus", "GetIntegerStatus", "GetBooleanStatus", "GetStringStatus")
+SIGNATURES = {  # of the arguments behind the component: p pointer, n size_t, i int, d double
+    **dict.fromkeys(("EnterInitializationMode", "ExitInitializationMode", "Terminate", "Reset"), ""),
+    **dict.fromkeys(
+        (f"{do}{kind}" for do in ("Get", "Set") for kind in ("Real", "Integer", "Boolean", "String")), "pnp"
+    ),
+    **dict.fromkeys(("GetFMUstate", "SetFMUstate", "FreeFMUstate", "NewDiscreteStates"), "p"),
+    **dict.fromkeys(("SetRealInputDerivatives", "GetRealOutputDerivatives"), "pnpp"),
+    **dict.fromkeys(STATUS_CALLS, "ip"),
+    **dict.fromkeys(("CancelStep", "EnterEventMode", "EnterContinuousTimeMode"), ""),
+    **dict.fromkeys(("SetContinuousStates", "GetContinuousStates", "GetDerivatives"), "pn"),
+    **dict.fromkeys(("GetNominalsOfContinuousStates", "GetEventIndicators"), "pn"),
+    "SetDebugLogging": "inp",
+    "SetupExperiment": "iddid",
+    "SerializedFMUstateSize": "pp",
+    "SerializeFMUstate": "ppn",
+    "DeSerializeFMUstate": "pnp",
+    "GetDirectionalDerivative": "pnpnpp",
+    "DoStep": "ddi",
+    "CompletedIntegratorStep": "ipp",
+    "SetTime": "d",
+}
+C_TYPES = {"p": ctypes.c_void_p, "n": ctypes.c_size_t, "i": ctypes.c_int, "d": ctypes.c_double}
+
+
+class Native:
+    """One instance of a native FMU, driven by the plain C functions: `call` returns the status and raises nothing.
+
+    `log` collects (status, category, message). `folder` is the unpacked FMU; the keywords replace what a host would pass.
+    `component` is None where the FMU refused to be instantiated.
+    """
+
+    MODEL_EXCHANGE, CO_SIMULATION = 0, 1
+
+    def __init__(
+        self, folder, kind=CO_SIMULATION, *, guid: str | None = "", location: str | None = "", name="unit", logging=True
+    ) -> None:
+        folder = Path(folder)
+        self.description = description(str(folder))
+        self.variables = {v.name: v for v in self.description.modelVariables}
+        self.output_names = [v.name for v in self.description.modelVariables if v.causality in ("output", "local")]
+        self.kind = kind
+        self.log: list[tuple[int, str, str]] = []
+        self.library = ctypes.CDLL(str(next(folder.glob("binaries/*/*.*"))))
+        for function, signature in SIGNATURES.items():
+            entry = getattr(self.library, f"fmi2{function}")
+            entry.argtypes = [ctypes.c_void_p, *(C_TYPES[letter] for letter in signature)]
+        self.callbacks = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(self._take_message))
+        self.library.fmi2Instantiate.restype = ctypes.c_void_p
+        guid = self.description.guid if guid == "" else guid
+        location = (folder / "resources").as_uri() if location == "" else location
+        texts = [None if text is None else text.encode() for text in (name, guid, location)]
+        self.arguments = texts[0], kind, *texts[1:], ctypes.byref(self.callbacks), 0, int(logging)
+        self.instantiate()
+
+    def instantiate(self) -> None:
+        self.component = self.library.fmi2Instantiate(*self.arguments)
+
+    def _take_message(self, _environment, _instance, status, category, message) -> None:
+        self.log.append((status, category.decode(), message.decode() % ()))  # a format, as C hosts take it
+
+    def free(self) -> None:
+        """Free the instance, once."""
+        self.library.fmi2FreeInstance(ctypes.c_void_p(self.component))
+        self.component = None
+
+    def call(self, function, *arguments) -> int:
+        return getattr(self.library, f"fmi2{function}")(self.component, *arguments)
+
+    def refused(self, function, *arguments) -> str:
+        """Return the one sentence that the call is refused with."""
+        before = len(self.log)
+        status = self.call(function, *arguments)
+        assert status == 3, f"{function}: status {status}"
+        ((level, category, message),) = self.log[before:]
+        assert (level, category) == (3, "logStatusError")
+        return message
+
+    def done(self, function, *arguments) -> None:
+        status = self.call(function, *arguments)
+        assert status == 0, f"{function}: status {status}, {self.log[-1:]}"
+
+    def values(self, *references, kind="Real"):
+        """Return what the getter of a type gives for value references."""
+        values = ctypes.c_double if kind == "Real" else ctypes.c_int
+        row = (values * len(references))()
+        self.done(f"Get{kind}", (ctypes.c_uint * len(references))(*references), len(references), row)
+        return tuple(row)
+
+    def get(self, *names):
+        return tuple(self.values(self.reference(name), kind=self.type(name))[0] for name in names)
+
+    def setting(self, **values):
+        """Return the function and the arguments that set variables of one type."""
+        (kind,) = {self.type(name) for name in values}
+        references = (ctypes.c_uint * len(values))(*map(self.reference, values))
+        numbers = ((ctypes.c_double if kind == "Real" else ctypes.c_int) * len(values))(*values.values())
+        return f"Set{kind}", references, len(values), numbers
+
+    def set(self, **values) -> None:
+        for name, value in values.items():
+            self.done(*self.setting(**{name: value}))
+
+    def outputs(self):
+        return self.get(*self.output_names)
+
+    def setup(self, start_time=0.0) -> None:
+        self.done("SetupExperiment", 0, 0.0, start_time, 0, 0.0)
+
+    def initialize(self, start_time=0.0, **values) -> Native:
+        self.set(**values)
+        self.setup(start_time)
+        self.done("EnterInitializationMode")
+        self.done("ExitInitializationMode")
+        return self
+
+    def step(self, time, step, **inputs):
+        """Set the inputs, step, and return the outputs."""
+        self.set(**inputs)
+        self.done("DoStep", time, step, 0)
+        return self.outputs()
+
+    def save(self):
+        state = ctypes.c_void_p()
+        self.done("GetFMUstate", ctypes.byref(state))
+        return state
+
+    def serialize(self, state) -> bytes:
+        size = ctypes.c_size_t()
+        self.done("SerializedFMUstateSize", state, ctypes.byref(size))
+        serialized = ctypes.create_string_buffer(size.value)
+        self.done("SerializeFMUstate", state, serialized, size)
+        return serialized.raw
+
+    def deserialize(self, serialized: bytes):
+        state = ctypes.c_void_p()
+        self.done("DeSerializeFMUstate", serialized, len(serialized), ctypes.byref(state))
+        return state
+
+    def everything(self) -> bytes:
+        """Return all that a call could have changed."""
+        state = self.save()
+        serialized = self.serialize(state)
+        self.done("FreeFMUstate", ctypes.byref(state))
+        return serialized
+
+    def reference(self, name) -> int:
+        return self.variables[name].valueReference
+
+    def type(self, name) -> str:
+        return {"Enumeration": "Integer"}.get(self.variables[name].type, self.variables[name].type)
+
+
 @cache
 def description(folder):
     return read_model_description(folder)
@@ -114,6 +269,43 @@ def fmus(tmp_path_factory, slaves, start):
 def folders(tmp_path_factory, fmus):
     """Each FMU unpacked."""
     return {name: Path(extract(str(fmus[name]), str(tmp_path_factory.mktemp(name)))) for name in NAMES}
+
+
+@pytest.fixture(scope="session")
+def native_units():
+    """Each unit's native side by the FMU's name."""
+    from ihc_fmu.native_unit import NATIVE as CONTROLLER
+    from plant_fmu.native_unit import NATIVE as PLANT
+
+    return dict(zip(NAMES, (PLANT, CONTROLLER), strict=True))
+
+
+@pytest.fixture(scope="session")
+def native_fmus(tmp_path_factory, native_units, start):
+    from fmu_export.native_fmu import export_native_fmu
+
+    folder = tmp_path_factory.mktemp("native")
+    return {name: export_native_fmu(native_units[name], folder / f"{name}.fmu", start[name]) for name in NAMES}
+
+
+@pytest.fixture(scope="session")
+def native_folders(tmp_path_factory, native_fmus):
+    """Each native FMU unpacked."""
+    return {name: Path(extract(str(native_fmus[name]), str(tmp_path_factory.mktemp(name)))) for name in NAMES}
+
+
+@pytest.fixture
+def native(native_folders):
+    """Make instances of a native FMU, by its name or by the folder of another one; all are freed after the test."""
+    made = []
+
+    def make(which, kind=Native.CO_SIMULATION, **options):
+        made.append(Native(native_folders.get(which, which), kind, **options))
+        return made[-1]
+
+    yield make
+    for instance in made:
+        instance.free()
 
 
 @pytest.fixture

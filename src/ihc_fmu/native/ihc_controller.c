@@ -288,6 +288,10 @@ static void kalman_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s
     for (int i = 0; i < 6; i++) {
         corrections[i] = p->kalman_M[i][0] * e_1 + p->kalman_M[i][1] * e_2;
     }
+    if (!isfinite(s->disturbance + corrections[4] + bias + corrections[5])) {
+        s->observed[0] = NAN; /* a fault; the outputs stay finite */
+        return;
+    }
     for (int i = 0; i < 4; i++) {
         s->observed[i] = y[i] + corrections[i];
     }
