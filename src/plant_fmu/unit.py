@@ -52,7 +52,13 @@ class QubePlant:
         self.delay_line: deque[Measurement] = deque([self._measure()])
 
     def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
-        """Nothing depends on the first inputs: outputs depend on states only."""
+        """Check the outputs; nothing depends on the first inputs. Raises ArithmeticError for numbers beyond reason."""
+        try:
+            finite = math.isfinite(sum(self.outputs()))
+        except (OverflowError, ValueError):
+            finite = False
+        if not finite:
+            raise ArithmeticError(f"start values must give finite outputs, found x = {self.x}")
         return []
 
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
@@ -83,7 +89,7 @@ class QubePlant:
         try:
             for _ in range(count):
                 x = rk4_step(f, x, h)
-            finite = math.isfinite(sum(x))
+            finite = math.isfinite(sum([value * value for value in x]))  # as in the energy
         except (OverflowError, ValueError):  # sin and cos refuse infinity
             finite = False
         if not finite:

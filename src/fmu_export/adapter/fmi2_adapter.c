@@ -5,7 +5,7 @@
 
 #include "fmu_instance.h"
 
-enum { PROBLEM_SIZE = 512 };
+enum { PROBLEM_SIZE = 1024 };
 
 static const unsigned SETTABLE = FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP | FMU_EVENT | FMU_CONTINUOUS;
 static const unsigned ANY_PHASE = SETTABLE | FMU_TERMINATED;
@@ -86,7 +86,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         fmu_say(&early, fmi2Error, "fmi2Instantiate: an instance must have a name");
         return NULL;
     }
-    if (fmuType != fmi2CoSimulation && !(fmuType == fmi2ModelExchange && fmu_the_unit.continuous != NULL)) {
+    if (fmuType != fmi2CoSimulation && fmuType != fmi2ModelExchange) {
+        fmu_say(&early, fmi2Error, "%s has no kind %d", fmu_the_unit.model_identifier, (int)fmuType);
+        return NULL;
+    }
+    if (fmuType == fmi2ModelExchange && fmu_the_unit.continuous == NULL) {
         fmu_say(&early, fmi2Error, "%s is not for model exchange", fmu_the_unit.model_identifier);
         return NULL;
     }
@@ -120,25 +124,22 @@ void fmi2FreeInstance(fmi2Component c)
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories, const fmi2String categories[])
 {
     fmu_instance *m = c;
+    int errors = nCategories == 0, warnings = nCategories == 0;
     if (!allowed(m, "fmi2SetDebugLogging", ANY_PHASE) || !present(m, "fmi2SetDebugLogging", categories, nCategories)) {
         return fmi2Error;
-    }
-    if (nCategories == 0) {
-        m->log_errors = m->log_warnings = loggingOn;
     }
     for (size_t i = 0; i < nCategories; i++) {
         const char *category = categories[i] == NULL ? "" : categories[i];
         const int all = strcmp(category, "logAll") == 0;
-        if (all || strcmp(category, "logStatusError") == 0) {
-            m->log_errors = loggingOn;
-        }
-        if (all || strcmp(category, "logStatusWarning") == 0) {
-            m->log_warnings = loggingOn;
-        }
-        if (!all && strcmp(category, "logStatusError") != 0 && strcmp(category, "logStatusWarning") != 0) {
+        const int error = strcmp(category, "logStatusError") == 0, warning = strcmp(category, "logStatusWarning") == 0;
+        if (!all && !error && !warning) {
             return fmu_say(m, fmi2Error, "fmi2SetDebugLogging: there is no log category '%s'", category);
         }
+        errors |= all || error;
+        warnings |= all || warning;
     }
+    m->log_errors = errors ? loggingOn : m->log_errors;
+    m->log_warnings = warnings ? loggingOn : m->log_warnings;
     return fmi2OK;
 }
 
@@ -278,7 +279,7 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 static int is_state(const fmu_instance *m, const char *call, const fmu_snapshot *s)
 {
-    if (fmu_is_snapshot(s)) {
+    if (fmu_is_snapshot(m, s)) {
         return 1;
     }
     fmu_say(m, fmi2Error, "%s: the pointer is no state of this FMU", call);
@@ -443,7 +444,6 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     if (status != fmi2OK) {
         return status;
     }
-    m->unit->continuous->tangent(m->parameters, m->prepared, m->state, m->inputs, dx, &dinputs, &doutputs);
     for (size_t i = 0; i < nUnknown; i++) {
         const fmu_variable *v =
             vUnknown_ref[i] < m->unit->variable_count ? &m->unit->variables[vUnknown_ref[i]] : NULL;
@@ -451,7 +451,10 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
             return fmu_say(m, fmi2Error, "there is no derivative of %s",
                            v == NULL ? "a value reference that does not exist" : v->name);
         }
-        memcpy(&dvUnknown[i], doutputs.bytes + v->offset, sizeof dvUnknown[i]);
+    }
+    m->unit->continuous->tangent(m->parameters, m->prepared, m->state, m->inputs, dx, &dinputs, &doutputs);
+    for (size_t i = 0; i < nUnknown; i++) {
+        memcpy(&dvUnknown[i], doutputs.bytes + m->unit->variables[vUnknown_ref[i]].offset, sizeof dvUnknown[i]);
     }
     return fmi2OK;
 }
@@ -550,7 +553,11 @@ static int fits(const fmu_instance *m, const char *call, unsigned phases, const 
     if (!allowed(m, call, phases) || !present(m, call, pointer, count)) {
         return 0;
     }
-    if (m->kind != fmi2ModelExchange || count != expected) {
+    if (m->kind != fmi2ModelExchange) {
+        fmu_say(m, fmi2Error, "%s is for model exchange", call);
+        return 0;
+    }
+    if (count != expected) {
         fmu_say(m, fmi2Error, "%s must be for %lu values, found %lu", call, (unsigned long)expected, (unsigned long)count);
         return 0;
     }
@@ -635,18 +642,22 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
+    const unsigned phases = FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
     if (!fits(m, "fmi2GetContinuousStates", phases, x, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
-    memcpy(x, m->unit->continuous->values(m->state), nx * sizeof x[0]);
+    const double *states = fmu_states(m);
+    if (states == NULL) {
+        return fmi2Error;
+    }
+    memcpy(x, states, nx * sizeof x[0]);
     return fmi2OK;
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_EVENT | FMU_CONTINUOUS;
+    const unsigned phases = FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
     if (!fits(m, "fmi2GetDerivatives", phases, derivatives, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
@@ -663,7 +674,7 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_EVENT | FMU_CONTINUOUS;
+    const unsigned phases = FMU_INSTANTIATED | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
     if (!fits(m, "fmi2GetNominalsOfContinuousStates", phases, x_nominal, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
@@ -676,5 +687,6 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni)
 {
     fmu_instance *m = c;
-    return fits(m, "fmi2GetEventIndicators", FMU_EVENT | FMU_CONTINUOUS, eventIndicators, ni, 0) ? fmi2OK : fmi2Error;
+    const unsigned phases = FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
+    return fits(m, "fmi2GetEventIndicators", phases, eventIndicators, ni, 0) ? fmi2OK : fmi2Error;
 }

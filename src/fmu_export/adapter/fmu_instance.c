@@ -15,6 +15,22 @@ static const char *const TYPE_NAMES[] = {"Real", "Integer", "Boolean"};
 
 /* ---- Log --------------------------------------------------------------------------------------------------------- */
 
+/* Take away the beginning of a UTF-8 character at which a text was cut. */
+static void trim(char *text)
+{
+    size_t length = strlen(text), tail = 0;
+    while (tail < 3 && tail < length && ((unsigned char)text[length - 1 - tail] & 0xC0u) == 0x80u) {
+        tail++;
+    }
+    if (tail < length) {
+        const unsigned char lead = (unsigned char)text[length - 1 - tail];
+        const size_t wanted = lead >= 0xF0u ? 3 : lead >= 0xE0u ? 2 : lead >= 0xC0u ? 1 : 0;
+        if (wanted > tail) {
+            text[length - 1 - tail] = '\0';
+        }
+    }
+}
+
 fmi2Status fmu_say(const fmu_instance *m, fmi2Status status, const char *format, ...)
 {
     const int wanted = status == fmi2Warning ? m->log_warnings : m->log_errors;
@@ -27,6 +43,7 @@ fmi2Status fmu_say(const fmu_instance *m, fmi2Status status, const char *format,
     va_start(arguments, format);
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
+    trim(text);
     for (const char *c = text; *c != '\0'; c++) { /* FMI takes a message as a format */
         if (*c == '%') {
             escaped[length++] = '%';
@@ -88,7 +105,7 @@ static int allocate(fmu_instance *m)
         m->block_size += aligned(sizes[i]);
     }
     m->block = calloc(1, m->block_size);
-    m->spare = calloc(1, aligned(u->parameters_size) + aligned(u->prepared_size));
+    m->spare = calloc(1, m->block_size);
     m->start = calloc(u->variable_count, sizeof *m->start);
     m->where = calloc(u->variable_count, sizeof *m->where);
     m->types = calloc(u->variable_count, sizeof *m->types);
@@ -124,6 +141,12 @@ void fmu_set_start(fmu_instance *m)
     }
 }
 
+static int is_start_value(const fmu_variable *v, double value)
+{
+    const int fits = v->type == FMU_REAL || (value >= INT32_MIN && value <= INT32_MAX && value == floor(value));
+    return isfinite(value) && fits && value >= v->min && value <= v->max;
+}
+
 fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *resource_location, char *problem,
                          size_t problem_size)
 {
@@ -145,9 +168,9 @@ fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *res
     }
     for (size_t i = 0; i < unit->variable_count; i++) {
         const fmu_variable *v = &unit->variables[i];
-        if (v->role != FMU_OUTPUT && !(m->start[i] >= v->min && m->start[i] <= v->max && isfinite(m->start[i]))) {
-            snprintf(problem, problem_size, "the start value of %s must lie in [%g, %g], found %g", v->name, v->min, v->max,
-                     m->start[i]);
+        if (v->role != FMU_OUTPUT && !is_start_value(v, m->start[i])) {
+            snprintf(problem, problem_size, "the start value of %s must be a%s in [%g, %g], found %.17g", v->name,
+                     v->type == FMU_REAL ? " number" : "n integer", v->min, v->max, m->start[i]);
             fmu_destroy(m);
             return NULL;
         }
@@ -212,6 +235,14 @@ fmi2Status fmu_initialize(fmu_instance *m)
     }
     read_outputs(m);
     return fmi2OK;
+}
+
+const double *fmu_states(fmu_instance *m)
+{
+    if (m->progress.phase == FMU_INITIALIZATION && fmu_initialize(m) != fmi2OK) {
+        return NULL;
+    }
+    return m->unit->continuous->values(m->state);
 }
 
 fmi2Status fmu_advance(fmu_instance *m, double time, double step)
@@ -341,17 +372,15 @@ static void assign(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
 /* Set tunable parameters between steps: their consequences are computed at once, or everything stays as it was. */
 static fmi2Status tune(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values)
 {
-    unsigned char *spare_prepared = (unsigned char *)m->spare + aligned(m->unit->parameters_size);
-    memcpy(m->spare, m->parameters, m->unit->parameters_size);
-    memcpy(spare_prepared, m->prepared, m->unit->prepared_size);
+    const size_t before_state = (size_t)((unsigned char *)m->state - m->block);
+    memcpy(m->spare, m->block, before_state);
     assign(m, type, vr, count, values);
     const int status = m->unit->prepare(m->parameters, m->prepared);
     if (status == 0) {
         return fmi2OK;
     }
     explain(m, status, m->progress.time, 0.0);
-    memcpy(m->parameters, m->spare, m->unit->parameters_size);
-    memcpy(m->prepared, spare_prepared, m->unit->prepared_size);
+    memcpy(m->block, m->spare, before_state);
     return fmi2Error;
 }
 
@@ -403,14 +432,18 @@ fmu_snapshot *fmu_save(const fmu_instance *m)
         return NULL;
     }
     s->magic = SNAPSHOT_MAGIC;
+    s->block_size = m->block_size;
+    s->kind = m->kind;
+    memcpy(s->guid, m->guid, sizeof s->guid);
     s->progress = m->progress;
     memcpy(s->block, m->block, m->block_size);
     return s;
 }
 
-int fmu_is_snapshot(const fmu_snapshot *s)
+int fmu_is_snapshot(const fmu_instance *m, const fmu_snapshot *s)
 {
-    return s != NULL && s->magic == SNAPSHOT_MAGIC;
+    return s != NULL && s->magic == SNAPSHOT_MAGIC && s->block_size == m->block_size && s->kind == m->kind
+        && memcmp(s->guid, m->guid, sizeof s->guid) == 0;
 }
 
 void fmu_free_snapshot(fmu_snapshot *s)

@@ -39,7 +39,7 @@ typedef struct {
     size_t block_size;
     unsigned char *block; /* parameters, inputs, outputs, prepared, state */
     void *parameters, *inputs, *outputs, *prepared, *state;
-    void *spare;   /* room for the parameters before a change */
+    unsigned char *spare; /* room for the block up to the state, before a change */
     void **where;  /* address of each variable */
     unsigned char *types; /* fmu_type of each variable, close together: looked at in every call */
     size_t states; /* continuous states in model exchange */
@@ -48,6 +48,9 @@ typedef struct {
 /* A copy of an instance's block and progress. */
 typedef struct {
     unsigned long magic;
+    size_t block_size;
+    fmi2Type kind;
+    char guid[FMU_GUID_SIZE];
     fmu_progress progress;
     unsigned char *block;
 } fmu_snapshot;
@@ -72,6 +75,9 @@ fmi2Status fmu_initialize(fmu_instance *m);
 /* Advance by `step` [s]. */
 fmi2Status fmu_advance(fmu_instance *m, double time, double step);
 
+/* Continuous states, from the start values in initialization; NULL where these are refused. */
+const double *fmu_states(fmu_instance *m);
+
 /* Model exchange: outputs under the present inputs and states. */
 fmi2Status fmu_observe(fmu_instance *m, const char *call);
 
@@ -79,7 +85,9 @@ fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
 fmi2Status fmu_set(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values);
 
 fmu_snapshot *fmu_save(const fmu_instance *m);
-int fmu_is_snapshot(const fmu_snapshot *s);
+
+/* Whether it is one of an instance of the same FMU and kind. */
+int fmu_is_snapshot(const fmu_instance *m, const fmu_snapshot *s);
 void fmu_free_snapshot(fmu_snapshot *s);
 size_t fmu_serialized_size(const fmu_instance *m);
 void fmu_serialize(const fmu_instance *m, const fmu_snapshot *s, unsigned char *bytes);

@@ -120,19 +120,19 @@ int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE
 {
     char path[PATH_SIZE];
     if (resource_location == NULL || !file_path(resource_location, "start_values.bin", path)) {
-        snprintf(problem, problem_size, "the resource location must be the URI of the FMU's resources folder, found %.200s",
+        snprintf(problem, problem_size, "the resource location must be the URI of the FMU's resources folder, found %s",
                  resource_location == NULL ? "none" : resource_location);
         return -1;
     }
     FILE *file = open_file(path);
     if (file == NULL) {
-        snprintf(problem, problem_size, "cannot read %.300s in the FMU's resources", path);
+        snprintf(problem, problem_size, "cannot read the FMU's resource %s", path);
         return -1;
     }
     const int good = parse(file, guid, values, count);
     fclose(file);
     if (!good) {
-        snprintf(problem, problem_size, "%.300s does not hold this FMU's start values", path);
+        snprintf(problem, problem_size, "this FMU's start values must be in its resources, found another content of %s", path);
         return -1;
     }
     return 0;

@@ -141,6 +141,7 @@ static int admissible(const qube_params *p)
 qube_status qube_initialize(const qube_params *p, qube_state *s)
 {
     static const qube_state zero;
+    qube_outputs y;
     if (!admissible(p)) {
         return QUBE_NOT_POSITIVE;
     }
@@ -151,7 +152,11 @@ qube_status qube_initialize(const qube_params *p, qube_state *s)
     s->x[3] = p->delta_dot_0;
     s->random_state = (uint64_t)p->noise_seed;
     append_measurement(p, s);
-    return QUBE_OK;
+    qube_get_outputs(p, s, &y);
+    return isfinite(y.theta + y.delta + y.theta_dot + y.delta_dot + y.theta_encoder + y.delta_encoder + y.current
+                    + y.motor_torque + y.energy + y.theta_ddot + y.delta_ddot + y.current_dot)
+        ? QUBE_OK
+        : QUBE_OUTPUT_NOT_FINITE;
 }
 
 /* Take the delay as a number of communication steps, which may then not change any more. */
@@ -235,7 +240,7 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
         rk4_step(p, &c, x, voltage, u->pendulum_torque, h);
     }
     for (int i = 0; i < QUBE_STATES; i++) {
-        sum += x[i];
+        sum += x[i] * x[i]; /* as in the energy */
     }
     if (!isfinite(sum)) {
         return QUBE_DIVERGED;

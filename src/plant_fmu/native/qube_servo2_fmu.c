@@ -94,6 +94,10 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
     const qube_state *s = state;
     const qube_inputs *u = inputs;
     switch (status) {
+    case QUBE_OUTPUT_NOT_FINITE:
+        snprintf(text, size, "start values must give finite outputs, found x = (%g, %g, %g, %g)", p->theta_0, p->delta_0,
+                 p->theta_dot_0, p->delta_dot_0);
+        break;
     case QUBE_NOT_POSITIVE:
         snprintf(text, size, "%s must be positive, found 0", not_positive(p));
         break;
