@@ -39,7 +39,7 @@ class Monolithic:
 
     def run(self, steps: int, step: float) -> np.ndarray:
         """Return the rows of a run, `controller.voltage` and so on as the names of their columns."""
-        rows = np.zeros(steps + 1, self.row)
+        rows = np.empty(steps + 1, self.row)
         failed = self._run(steps, step, rows.ctypes.data)
         if failed:
             raise RuntimeError(f"step {failed} failed")

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from .errors import UserError
 from .export import Kind, Smc, export_units
@@ -22,6 +20,8 @@ from .export import Kind, Smc, export_units
 SCENARIOS = Path(__file__).parent / "scenarios"
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from ihc_fmu.design import Design
 
     from .experiments import Comparison
@@ -165,6 +165,7 @@ def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
 
 def _print_design(found: Design) -> None:
     import numpy as np
+    from rich.table import Table
 
     def row(values: Iterable[float]) -> str:
         return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
@@ -382,6 +383,8 @@ def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], work
 
 
 def _print_comparison(comparison: Comparison) -> None:
+    from rich.table import Table
+
     laws = list(comparison.results)
     count = len(comparison.draws) // len(laws)
     drawn = f"medians over {count} draws of the encoder offsets" if count > 1 else "one run"
@@ -404,6 +407,8 @@ def _print_comparison(comparison: Comparison) -> None:
 
 
 def _progress() -> Progress:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -210,14 +210,14 @@ class _Recorder:
 
     def __init__(self, exchange: _Exchange, names: Sequence[str], rows: int) -> None:
         self.rows = 0
-        self.time = np.zeros(rows)
+        self.time = np.empty(rows)
         is_real = {name: slot[0]._type_ is ctypes.c_double for name, slot in zip(names, exchange.recorded, strict=True)}
         self.names = {kind: [n for n in names if is_real[n] is kind] for kind in (True, False)}
         self.order = list(names)
         slots = dict(zip(names, exchange.recorded, strict=True))
         self.slots = {kind: [slots[n] for n in chosen] for kind, chosen in self.names.items()}
         types = {True: np.float64, False: np.int64}
-        self.tables = {kind: np.zeros((rows, len(s)), types[kind]) for kind, s in self.slots.items()}
+        self.tables = {kind: np.empty((rows, len(s)), types[kind]) for kind, s in self.slots.items()}
 
     def record(self, time: float) -> None:
         row = self.rows

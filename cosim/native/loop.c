@@ -10,7 +10,7 @@
 #include <time.h>
 #endif
 
-enum { MOST_STEPS_BETWEEN_LOOKS = 32 }; /* at the clock */
+enum { MOST_STEPS_BETWEEN_LOOKS = 1024 }; /* at the clock */
 
 static const double SHORT = 1e-3; /* [s] */
 

@@ -31,6 +31,7 @@ FLAGS = (
     "-Werror",
     "-ffp-contract=off",
     "-fno-math-errno",
+    "-fomit-frame-pointer",
     "-fno-sanitize=undefined",  # Zig's default traps in unoptimized builds
     "-fvisibility=hidden",
     "-g0",
@@ -81,7 +82,9 @@ def host_platform() -> Platform:
 def zig_command() -> list[str]:
     """Return the command that runs Zig's C compiler; raise BuildError where the package ziglang is missing."""
     if find_spec("ziglang") is None:
-        raise BuildError("building binaries for other platforms needs the package ziglang, from the extra qube-ihc[cross]")
+        raise BuildError(
+            "building binaries for other platforms needs the package ziglang, from the extra qube-ihc[cross]"
+        )
     return [sys.executable, "-m", "ziglang", "cc"]
 
 

@@ -456,12 +456,6 @@ def test_unknown_references_and_wrong_types_are_refused(name, native):
     assert instance.everything() == before
 
 
-def test_a_refused_get_leaves_the_hosts_memory_alone(name, native):
-    instance, numbers = native(name).initialize(), real(77.0, 77.0)
-    instance.refused("GetReal", references(0, 9999), 2, numbers)
-    assert tuple(numbers) == (77.0, 77.0)
-
-
 def test_a_refused_derivative_leaves_the_hosts_memory_alone(native):
     instance, numbers = native(PLANT).initialize(), real(77.0, 77.0)
     unknown = references(instance.reference("theta"), 9999)

@@ -231,14 +231,20 @@ static fmi2Status set(fmi2Component c, const char *call, fmu_type type, const fm
     return fmu_set(m, type, vr, nvr, value);
 }
 
+/* Whether nothing about a call needs a closer look: an instance between two steps, no pointer missing. */
+static int is_usual(const fmu_instance *m, const void *vr, const void *value)
+{
+    return m != NULL && vr != NULL && value != NULL && m->progress.phase == FMU_STEP;
+}
+
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
 {
-    return get(c, "fmi2GetReal", FMU_REAL, vr, nvr, value);
+    return is_usual(c, vr, value) ? fmu_copy(c, FMU_REAL, vr, nvr, value) : get(c, "fmi2GetReal", FMU_REAL, vr, nvr, value);
 }
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
 {
-    return get(c, "fmi2GetInteger", FMU_INTEGER, vr, nvr, value);
+    return is_usual(c, vr, value) ? fmu_copy(c, FMU_INTEGER, vr, nvr, value) : get(c, "fmi2GetInteger", FMU_INTEGER, vr, nvr, value);
 }
 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
@@ -255,7 +261,7 @@ fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
 {
-    return set(c, "fmi2SetReal", FMU_REAL, vr, nvr, value);
+    return is_usual(c, vr, value) && fmu_set_inputs(c, vr, nvr, value) ? fmi2OK : set(c, "fmi2SetReal", FMU_REAL, vr, nvr, value);
 }
 
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])

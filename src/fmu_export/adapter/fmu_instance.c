@@ -8,6 +8,13 @@
 
 enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 1 };
 
+/* What a usual call does not come to is kept out of its way. */
+#if defined __GNUC__
+#define FMU_SELDOM __attribute__((noinline, cold))
+#else
+#define FMU_SELDOM
+#endif
+
 static const unsigned long SNAPSHOT_MAGIC = 0x51554245ul; /* "QUBE" */
 static const double TIME_TOLERANCE = 1e-6;                /* of a step, between the end of one and the start of the next */
 
@@ -69,7 +76,7 @@ static void list_inputs(const fmu_instance *m, char *text, size_t size)
 }
 
 /* Say what a unit's status means; fmi2OK for a warning, fmi2Error for a refusal. */
-static fmi2Status explain(const fmu_instance *m, int status, double time, double step)
+FMU_SELDOM static fmi2Status explain(const fmu_instance *m, int status, double time, double step)
 {
     char text[MESSAGE_SIZE] = "";
     const fmu_severity severity =
@@ -107,18 +114,25 @@ static int allocate(fmu_instance *m)
     m->block = calloc(1, m->block_size);
     m->spare = calloc(1, m->block_size);
     m->start = calloc(u->variable_count, sizeof *m->start);
-    m->where = calloc(u->variable_count, sizeof *m->where);
-    m->types = calloc(u->variable_count, sizeof *m->types);
-    if (m->block == NULL || m->spare == NULL || m->start == NULL || m->where == NULL || m->types == NULL) {
+    m->where = calloc(5 * u->variable_count, sizeof *m->where);
+    if (m->block == NULL || m->spare == NULL || m->start == NULL || m->where == NULL) {
         return 0;
     }
+    for (int type = 0; type < 3; type++) {
+        m->of_type[type] = m->where + (size_t)(type + 1) * u->variable_count;
+    }
+    m->plain = m->where + 4 * u->variable_count;
     for (int i = 0; i < 5; i++) {
         *parts[i] = m->block + offset;
         offset += aligned(sizes[i]);
     }
     for (size_t i = 0; i < u->variable_count; i++) {
-        m->types[i] = (unsigned char)u->variables[i].type;
-        m->where[i] = (unsigned char *)struct_of(m, u->variables[i].role) + u->variables[i].offset;
+        const fmu_variable *v = &u->variables[i];
+        m->where[i] = (unsigned char *)struct_of(m, v->role) + v->offset;
+        m->of_type[v->type][i] = m->where[i];
+        if (v->type == FMU_REAL && v->role == FMU_INPUT && v->min == -INFINITY && v->max == INFINITY) {
+            m->plain[i] = m->where[i];
+        }
     }
     return 1;
 }
@@ -187,7 +201,6 @@ void fmu_destroy(fmu_instance *m)
         free(m->spare);
         free(m->start);
         free(m->where);
-        free(m->types);
         free(m);
     }
 }
@@ -269,20 +282,13 @@ fmi2Status fmu_advance(fmu_instance *m, double time, double step)
 
 /* ---- Variables --------------------------------------------------------------------------------------------------- */
 
-/* Whether all value references are of variables of the type. */
-static int known(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count)
+FMU_SELDOM static fmi2Status unknown(const fmu_instance *m, fmu_type type, fmi2ValueReference vr)
 {
-    for (size_t i = 0; i < count; i++) {
-        if (vr[i] >= m->unit->variable_count || m->types[vr[i]] != type) {
-            fmu_say(m, fmi2Error, "no %s variable has the value reference %u", TYPE_NAMES[type], vr[i]);
-            return 0;
-        }
-    }
-    return 1;
+    return fmu_say(m, fmi2Error, "no %s variable has the value reference %u", TYPE_NAMES[type], vr);
 }
 
 /* Bring outputs up to date where they may be older than inputs, states or parameters. */
-static fmi2Status refresh(fmu_instance *m, const fmi2ValueReference *vr, size_t count)
+FMU_SELDOM static fmi2Status refresh(fmu_instance *m, const fmi2ValueReference *vr, size_t count)
 {
     const fmu_phase phase = m->progress.phase;
     for (size_t i = 0; i < count; i++) {
@@ -297,6 +303,23 @@ static fmi2Status refresh(fmu_instance *m, const fmi2ValueReference *vr, size_t 
     return fmi2OK;
 }
 
+fmi2Status fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values)
+{
+    const size_t variables = m->unit->variable_count;
+    void *const *where = m->of_type[type];
+    for (size_t i = 0; i < count; i++) {
+        if (vr[i] >= variables || where[vr[i]] == NULL) {
+            return unknown(m, type, vr[i]);
+        }
+        if (type == FMU_REAL) {
+            ((double *)values)[i] = *(const double *)where[vr[i]];
+        } else {
+            ((int *)values)[i] = *(const int *)where[vr[i]];
+        }
+    }
+    return fmi2OK;
+}
+
 fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values)
 {
     if (m->progress.phase & (FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS)) {
@@ -305,19 +328,7 @@ fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
             return status;
         }
     }
-    if (!known(m, type, vr, count)) {
-        return fmi2Error;
-    }
-    if (type == FMU_REAL) {
-        for (size_t i = 0; i < count; i++) {
-            ((double *)values)[i] = *(const double *)m->where[vr[i]];
-        }
-    } else {
-        for (size_t i = 0; i < count; i++) {
-            ((int *)values)[i] = *(const int *)m->where[vr[i]];
-        }
-    }
-    return fmi2OK;
+    return fmu_copy(m, type, vr, count, values);
 }
 
 static int settable(const fmu_instance *m, const fmu_variable *v)
@@ -384,19 +395,32 @@ static fmi2Status tune(fmu_instance *m, fmu_type type, const fmi2ValueReference 
     return fmi2Error;
 }
 
+int fmu_set_inputs(fmu_instance *m, const fmi2ValueReference *vr, size_t count, const double *values)
+{
+    const size_t variables = m->unit->variable_count;
+    for (size_t i = 0; i < count; i++) {
+        if (vr[i] >= variables || m->plain[vr[i]] == NULL || !isfinite(values[i])) {
+            return 0;
+        }
+    }
+    for (size_t i = 0; i < count; i++) {
+        *(double *)m->plain[vr[i]] = values[i];
+    }
+    return 1;
+}
+
 fmi2Status fmu_set(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values)
 {
     int tunable = 0;
-    if (!known(m, type, vr, count)) {
-        return fmi2Error;
-    }
     for (size_t i = 0; i < count; i++) {
+        if (vr[i] >= m->unit->variable_count || m->of_type[type][vr[i]] == NULL) {
+            return unknown(m, type, vr[i]);
+        }
         const fmu_variable *v = &m->unit->variables[vr[i]];
         const double value = type == FMU_REAL ? ((const double *)values)[i]
             : type == FMU_BOOLEAN             ? ((const int *)values)[i] != 0
                                               : ((const int *)values)[i];
-        const int usual = v->role == FMU_INPUT && value >= v->min && value <= v->max && isfinite(value);
-        if (!usual && !admissible(m, v, value)) {
+        if (!admissible(m, v, value)) {
             return fmi2Error;
         }
         tunable |= v->role == FMU_TUNABLE;

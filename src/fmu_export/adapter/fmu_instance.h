@@ -40,8 +40,9 @@ typedef struct {
     unsigned char *block; /* parameters, inputs, outputs, prepared, state */
     void *parameters, *inputs, *outputs, *prepared, *state;
     unsigned char *spare; /* room for the block up to the state, before a change */
-    void **where;  /* address of each variable */
-    unsigned char *types; /* fmu_type of each variable, close together: looked at in every call */
+    void **where;      /* address of each variable */
+    void **of_type[3]; /* the same of one fmu_type, NULL for variables of another */
+    void **plain;      /* the same of real inputs without bounds */
     size_t states; /* continuous states in model exchange */
 } fmu_instance;
 
@@ -81,6 +82,13 @@ const double *fmu_states(fmu_instance *m);
 /* Model exchange: outputs under the present inputs and states. */
 fmi2Status fmu_observe(fmu_instance *m, const char *call);
 
+/* Copy values as they are, into reals for FMU_REAL, else into ints. */
+fmi2Status fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values);
+
+/* The usual call between steps: finite values of real inputs without bounds. 0, and nothing is set, where it is another. */
+int fmu_set_inputs(fmu_instance *m, const fmi2ValueReference *vr, size_t count, const double *values);
+
+/* Copy values after bringing outputs up to date. */
 fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values);
 fmi2Status fmu_set(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values);
 
