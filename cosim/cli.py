@@ -427,7 +427,7 @@ def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for results.")] = Path("results"),
     fmus: FmusOption = Path("fmus"),
 ) -> None:
-    """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare. Under a minute."""
+    """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare."""
     from ihc_fmu.start_values import default_design
 
     from .experiments import LAWS, Study

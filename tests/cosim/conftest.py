@@ -15,6 +15,7 @@ import pytest
 from cosim.export import export_units
 from cosim.master import Component
 from cosim.results import Result
+from cosim.scenario import build_system, load_scenario
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.start_values import default_design
 
@@ -32,6 +33,17 @@ def fmus(tmp_path_factory, design):
     folder = tmp_path_factory.mktemp("exported FMUs")
     export_units(design, output=folder)
     return folder
+
+
+@pytest.fixture
+def pair(fmus):
+    """Make the system of plant and controller from a built-in scenario with changes."""
+
+    def make(name="tilt", **changes):
+        scenario, folder = load_scenario(name)
+        return build_system(scenario.changed({k.replace("__", "."): v for k, v in changes.items()}), fmus, folder)
+
+    return make
 
 
 @pytest.fixture(scope="session")

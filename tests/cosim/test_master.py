@@ -25,17 +25,6 @@ from plant_fmu.unit import QubePlant
 DISTURBED = {"disturbance.sines": [{"amplitude": 0.5, "frequency": 40.0, "phase": 1.0}]}
 
 
-@pytest.fixture
-def pair(fmus):
-    """Make the system of plant and controller from a built-in scenario with changes."""
-
-    def make(name="tilt", **changes):
-        scenario, folder = load_scenario(name)
-        return build_system(scenario.changed({k.replace("__", "."): v for k, v in changes.items()}), fmus, folder)
-
-    return make
-
-
 @pytest.fixture(autouse=True, params=["native", "fmpy"])
 def engine(request, monkeypatch):
     """Every test of this file holds for both loops, whatever the FMUs are."""

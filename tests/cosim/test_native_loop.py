@@ -14,19 +14,7 @@ from cosim import native_loop
 from cosim.errors import UserError
 from cosim.master import ORDERS, Interrupted, Signal, SimulationError, System, Wire, simulate
 from cosim.native_loop import SECONDS_PER_CALL, SIGNAL_STEPS
-from cosim.scenario import build_system, load_scenario
 from fmu_export.native_build import BuildError
-
-
-@pytest.fixture
-def pair(fmus):
-    """Make the system of plant and controller from a built-in scenario with changes."""
-
-    def make(name="tilt", **changes):
-        scenario, folder = load_scenario(name)
-        return build_system(scenario.changed({k.replace("__", "."): v for k, v in changes.items()}), fmus, folder)
-
-    return make
 
 
 @pytest.fixture
