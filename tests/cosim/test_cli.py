@@ -317,6 +317,9 @@ def wait_until(condition, seconds=60.0):
         time.sleep(0.05)
 
 
+LONG = ("--set", "run.duration=20000", "--set", "record.every=1000")
+
+
 def loads_the_plant(pid):
     try:
         return "QubeServo2" in Path(f"/proc/{pid}/maps").read_text()
@@ -326,7 +329,7 @@ def loads_the_plant(pid):
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
 def test_an_interrupted_comparison_ends_with_code_130_and_leaves_no_process(elsewhere):
-    process = started("compare", "tilt", "--set", "run.duration=1", "--workers", "2", cwd=elsewhere)
+    process = started("compare", "tilt", *LONG, "--workers", "2", cwd=elsewhere)
     try:
         wait_until(lambda: any(map(loads_the_plant, session(process.pid))))
         process.send_signal(signal.SIGINT)
@@ -342,7 +345,7 @@ def test_an_interrupted_comparison_ends_with_code_130_and_leaves_no_process(else
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
 @pytest.mark.parametrize("moment", [0.3, 0.41, 0.52])
 def test_an_interrupted_run_ends_with_code_130_and_leaves_its_rows(elsewhere, moment):
-    process = started("run", "tilt", "--set", "run.duration=1000", "-o", "cut.csv", cwd=elsewhere)
+    process = started("run", "tilt", *LONG, "-o", "cut.csv", cwd=elsewhere)
     try:
         wait_until(lambda: loads_the_plant(process.pid))
         time.sleep(moment)
@@ -359,7 +362,7 @@ def test_an_interrupted_run_ends_with_code_130_and_leaves_its_rows(elsewhere, mo
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
 def test_an_interrupted_comparison_of_long_runs_ends_soon(elsewhere):
-    process = started("compare", "tilt", "--set", "run.duration=100", "--draws", "50", "--workers", "2", cwd=elsewhere)
+    process = started("compare", "tilt", *LONG, "--draws", "50", "--workers", "2", cwd=elsewhere)
     try:
         wait_until(lambda: any(map(loads_the_plant, session(process.pid))))
         process.send_signal(signal.SIGINT)
