@@ -399,7 +399,7 @@ def _print_comparison(comparison: Comparison) -> None:
     )
     table.add_column("law")
     for heading in headings:
-        table.add_column(heading, justify="right")
+        table.add_column(_escaped(heading), justify="right")
     names = ("settling_time", "integral_q2", "steady_rms", "energy", "peak_voltage", "capture_time")
     for law in laws:
         table.add_row(law, *(_number(comparison.median(law, name)) for name in names))

@@ -385,6 +385,11 @@ def test_an_output_that_is_no_csv_is_refused(elsewhere):
     assert "cut.json" in refused("run", "tilt", *SHORT, "--no-plot", "-o", "cut.json", cwd=elsewhere)
 
 
+def test_the_table_of_a_comparison_has_units(elsewhere):
+    said = accepted("compare", "tilt", *SHORT, "--draws", "0", "--laws", "LC", "--workers", "1", cwd=elsewhere)
+    assert all(unit in said for unit in ("[s]", "[rad² s]", "[rad]", "[V² s]", "[V]"))
+
+
 def test_a_comparison_takes_fmus_of_other_names(elsewhere):
     for old, new in (("QubeServo2", "Mine"), ("IhcController", "Mine2")):
         (elsewhere / "fmus" / f"{old}.fmu").rename(elsewhere / "fmus" / f"{new}.fmu")
