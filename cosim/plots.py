@@ -77,11 +77,12 @@ def _homogeneous_norm(result: Result) -> np.ndarray:
 
 def _angles(results: Mapping[str, Result]) -> Figure:
     figure, (top, bottom), ribbon = _with_ribbon(2, results)
-    panels = ((top, "theta", "arm $\\theta$ [rad]", 0.4), (bottom, "delta", "pendulum $\\delta$ [rad]", 0.57))
-    for axis, name, label, height in panels:
-        inset = axis.inset_axes((0.45, height, 0.53, 0.4))
+    panels = ((top, "theta", "arm $\\theta$ [rad]"), (bottom, "delta", "pendulum $\\delta$ [rad]"))
+    for axis, name, label in panels:
         for law, result in results.items():
             axis.plot(result.time, _angle(result, name), color=COLOURS.get(law), lw=1.1, label=law)
+        inset = axis.inset_axes((0.45, 0.57 if _ends_low(axis, results, name) else 0.1, 0.53, 0.4))
+        for law, result in results.items():
             late = result.time >= 0.6 * result.time[-1]
             inset.plot(result.time[late], _angle(result, name)[late], color=COLOURS.get(law), lw=0.9)
         inset.tick_params(labelsize="x-small")
@@ -89,9 +90,16 @@ def _angles(results: Mapping[str, Result]) -> Figure:
         inset.grid(alpha=0.3)
         axis.set_ylabel(label)
         axis.grid(alpha=0.3)
-    top.legend(loc="upper right", ncols=len(results))
+    top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
     _finish(figure, ribbon, results)
     return figure
+
+
+def _ends_low(axis: Any, results: Mapping[str, Result], name: str) -> bool:
+    """Whether the second halves of the curves lie in the lower half of the axis, and leave room for an inset above."""
+    low, high = axis.get_ylim()
+    late = np.concatenate([_angle(r, name)[len(r.time) // 2 :] for r in results.values()])
+    return bool(np.nanmean(late) <= 0.5 * (low + high))
 
 
 def _logarithmic(results: Mapping[str, Result], signal: Any, label: str, floor: float) -> Figure:
