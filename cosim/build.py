@@ -5,9 +5,10 @@ The installation runs this; `python -m cosim.build` does it again after a change
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
-from fmu_export.native_build import BINARIES, Platform, host_platform, install_library, installed_library
+from fmu_export.native_build import BINARIES, BuildError, Platform, host_platform, install_library, installed_library
 
 LOOP = "loop"
 LOOP_BINARIES = Path(__file__).parent / "binaries"
@@ -37,5 +38,7 @@ def loop_library() -> Path:
 
 
 if __name__ == "__main__":
-    for built in build():
-        print(built)
+    try:
+        print(*build(), sep="\n")
+    except BuildError as error:
+        sys.exit(f"error: {error}")

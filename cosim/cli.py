@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
-from .errors import UserError
+from .errors import Interrupted, SimulationError, UserError
 from .export import Kind, Smc, export_units
 
 SCENARIOS = Path(__file__).parent / "scenarios"
@@ -66,8 +66,6 @@ class Method(StrEnum):
 def main() -> None:
     """Run the command line; a user's mistake is one sentence and exit code 2, a failed run 1, Ctrl-C 130."""
     from fmu_export.native_build import BuildError
-
-    from .master import SimulationError
 
     try:
         app()
@@ -283,7 +281,6 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from .master import Interrupted, SimulationError
     from .metrics import can_evaluate, evaluate
     from .scenario import load_scenario, run_scenario
 

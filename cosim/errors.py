@@ -1,7 +1,37 @@
-"""Errors that are the user's to mend: one sentence that names the thing, the rule and the value found."""
+"""What a run can end with: errors that are the user's to mend, failed runs, Ctrl-C.
+
+Light to import: the command line knows these before it knows what it will do.
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .results import Result
+
 
 class UserError(ValueError):
-    """A file, name, number or combination that cannot work."""
+    """A file, name, number or combination that cannot work: one sentence with the thing, the rule and the value found."""
+
+
+class SimulationError(RuntimeError):
+    """A run failed on the way; `result` holds everything recorded until then, `time` and `instance` say where."""
+
+    def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
+        super().__init__(message)
+        self.result, self.time, self.instance = result, time, instance
+
+    def __reduce__(self) -> tuple[Any, ...]:  # exceptions pass between processes
+        return type(self), (str(self), self.result, self.time, self.instance)
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a run; `result` holds everything recorded until then."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__("interrupted")
+        self.result = result
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.result,)

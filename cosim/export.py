@@ -38,10 +38,9 @@ def export_units(
     """Write QubeServo2.fmu, IhcController.fmu and QubeWithController.ssp to the folder `output`; return their paths.
 
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model; `changes` to
-    start values are given per unit, "plant" and "controller". `platforms` as in `export_native_fmu`, or ["all"]. Raises
+    start values are given per unit, "plant" and "controller". `platforms` as in `export_native_fmu`. Raises
     ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
     """
-    from fmu_export.native_build import PLATFORMS
     from fmu_export.native_fmu import export_native_fmu
     from fmu_export.python_fmu import export_python_fmu
     from fmu_export.ssp import write_ssp
@@ -71,8 +70,6 @@ def export_units(
     )
     for native, _, start, _ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
-    if platforms == ["all"]:
-        platforms = list(PLATFORMS)
     paths = []
     for native, slave, start, notes in plans:
         path = output / f"{native.interface.name}.fmu"

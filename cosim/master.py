@@ -22,7 +22,7 @@ import numpy as np
 
 from fmu_export.variables import did_you_mean
 
-from .errors import UserError
+from .errors import Interrupted, SimulationError, UserError
 from .fmu import FmuError, Instance, Port, Value
 from .native_loop import NativeLoop, needs_python
 from .results import Result, versions
@@ -73,28 +73,6 @@ class System:
     components: Sequence[Component]
     wires: Sequence[Wire] = ()
     signals: Sequence[Signal] = ()
-
-
-class SimulationError(RuntimeError):
-    """A run failed on the way; `result` holds everything recorded until then, `time` and `instance` say where."""
-
-    def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
-        super().__init__(message)
-        self.result, self.time, self.instance = result, time, instance
-
-    def __reduce__(self) -> tuple[Any, ...]:  # exceptions pass between processes
-        return type(self), (str(self), self.result, self.time, self.instance)
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a run; `result` holds everything recorded until then."""
-
-    def __init__(self, result: Result) -> None:
-        super().__init__("interrupted")
-        self.result = result
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.result,)
 
 
 def step_count(step: float, duration: float) -> int:

@@ -82,9 +82,7 @@ def host_platform() -> Platform:
 def zig_command() -> list[str]:
     """Return the command that runs Zig's C compiler; raise BuildError where the package ziglang is missing."""
     if find_spec("ziglang") is None:
-        raise BuildError(
-            "building binaries for other platforms needs the package ziglang, from the extra qube-ihc[cross]"
-        )
+        raise BuildError("building binaries needs the package ziglang, from the extra qube-ihc[cross]")
     return [sys.executable, "-m", "ziglang", "cc"]
 
 

@@ -26,6 +26,8 @@ from .native_unit import NativeUnit, start_value_file, start_value_source, unit_
 from .variables import Value
 
 START_VALUES_SOURCE = "start_values.c"
+ALL = "all"
+"""In place of the names of all platforms."""
 
 
 def export_native_fmu(
@@ -37,10 +39,10 @@ def export_native_fmu(
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
-    `platforms` names what to hold binaries for, None: this machine, which the installation has built; others are compiled
-    now, by the package ziglang. `notes` is HTML for the FMU's documentation. The same arguments give the same bytes. The
-    file is written beside and renamed. Raises ValueError for start values that the interface does not admit or that
-    contradict each other and for unknown platforms, BuildError where there is no binary.
+    `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
+    has built; others are compiled now, by the package ziglang. `notes` is HTML for the FMU's documentation. The same
+    arguments give the same bytes. The file is written beside and renamed. Raises ValueError for start values that the
+    interface does not admit or that contradict each other and for unknown platforms, BuildError where there is no binary.
     """
     interface = unit.interface
     start = interface.start_values(changes)
@@ -75,9 +77,9 @@ def _platforms(names: Iterable[str] | None) -> list[Platform]:
         return [host_platform()]
     chosen = list(dict.fromkeys(names))
     for name in chosen:
-        if name not in PLATFORMS:
+        if name not in PLATFORMS and name != ALL:
             raise ValueError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
-    return [PLATFORMS[name] for name in chosen]
+    return list(PLATFORMS.values()) if ALL in chosen else [PLATFORMS[name] for name in chosen]
 
 
 def _binary(unit: NativeUnit, platform: Platform) -> bytes:

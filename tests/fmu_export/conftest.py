@@ -265,10 +265,14 @@ def fmus(tmp_path_factory, slaves, start):
     return {name: export_python_fmu(slaves[name], folder / f"{name}.fmu", start[name]) for name in NAMES}
 
 
+def unpacked(files, tmp_path_factory):
+    return {name: Path(extract(str(files[name]), str(tmp_path_factory.mktemp(name)))) for name in NAMES}
+
+
 @pytest.fixture(scope="session")
 def folders(tmp_path_factory, fmus):
     """Each FMU unpacked."""
-    return {name: Path(extract(str(fmus[name]), str(tmp_path_factory.mktemp(name)))) for name in NAMES}
+    return unpacked(fmus, tmp_path_factory)
 
 
 @pytest.fixture(scope="session")
@@ -291,7 +295,7 @@ def native_fmus(tmp_path_factory, native_units, start):
 @pytest.fixture(scope="session")
 def native_folders(tmp_path_factory, native_fmus):
     """Each native FMU unpacked."""
-    return {name: Path(extract(str(native_fmus[name]), str(tmp_path_factory.mktemp(name)))) for name in NAMES}
+    return unpacked(native_fmus, tmp_path_factory)
 
 
 @pytest.fixture

@@ -155,10 +155,16 @@ void fmu_set_start(fmu_instance *m)
     }
 }
 
+/* Whether a parameter or an input may have the value. */
+static int in_range(const fmu_variable *v, double value)
+{
+    return isfinite(value) ? value >= v->min && value <= v->max : v->any_value;
+}
+
 static int is_start_value(const fmu_variable *v, double value)
 {
     const int fits = v->type == FMU_REAL || (value >= INT32_MIN && value <= INT32_MAX && value == floor(value));
-    return isfinite(value) && fits && value >= v->min && value <= v->max;
+    return isfinite(value) && fits && in_range(v, value);
 }
 
 fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *resource_location, char *problem,
@@ -346,6 +352,7 @@ static int settable(const fmu_instance *m, const fmu_variable *v)
     }
 }
 
+/* Whether a call may set the variable to the value now; says so where it may not. */
 static int admissible(const fmu_instance *m, const fmu_variable *v, double value)
 {
     if (v->role == FMU_OUTPUT) {
@@ -357,7 +364,7 @@ static int admissible(const fmu_instance *m, const fmu_variable *v, double value
                 v->role == FMU_FIXED ? "fixed" : "tunable");
         return 0;
     }
-    if (isfinite(value) ? value < v->min || value > v->max : !v->any_value) {
+    if (!in_range(v, value)) {
         if (isfinite(value)) {
             fmu_say(m, fmi2Error, "%s must lie in [%g, %g], found %g", v->name, v->min, v->max, value);
         } else {
@@ -534,7 +541,7 @@ static int values_are_admissible(const fmu_instance *m, const unsigned char *blo
             memcpy(&number, at, sizeof number);
             value = number;
         }
-        if (isfinite(value) ? value < v->min || value > v->max : !v->any_value) {
+        if (!in_range(v, value)) {
             return 0;
         }
     }

@@ -30,7 +30,6 @@ typedef struct {
 typedef struct {
     const unsigned *states;      /* value references of the states, which are outputs too */
     const unsigned *derivatives; /* and of their derivatives */
-    size_t most;                 /* states at most */
     size_t (*count)(const void *parameters);
     double *(*values)(void *state);
     /* Take the inputs as held from now on. */

@@ -136,7 +136,6 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
 static const fmu_continuous CONTINUOUS = {
     .states = STATES,
     .derivatives = DERIVATIVES,
-    .most = QUBE_STATES,
     .count = state_count,
     .values = states,
     .hold = hold,
