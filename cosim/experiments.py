@@ -1,25 +1,20 @@
-"""Named studies over many runs: the comparison of the three laws, in parallel over processes."""
+"""The comparison of the three laws in a scenario, over draws of the encoders' offsets."""
 
 from __future__ import annotations
 
 import json
 import math
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from .campaign import Job, run_all
 from .master import Coupling
 from .metrics import NAMES, Metrics, evaluate
 from .results import Result, write_beside
-from .scenario import Scenario, build_system, run_scenario
+from .scenario import Scenario, build_system
 
 LAWS = ("LC", "SMC", "IHC")
 
@@ -93,33 +88,20 @@ def compare(
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Comparison]:
-    """Run every law in every study with every seed, in `workers` processes (None: one per core).
+    """Run every law in every study with every seed, in `workers` threads (None: one per core).
 
     All laws of a study see the same encoder offsets and noise. `progress(done, total)` counts runs. Raises what a run
-    raises; on that, and on Ctrl-C, runs that have not begun are dropped and the workers ended.
+    raises; on that, and on Ctrl-C, runs that have not begun are dropped and running ones stopped.
     """
-    jobs = [(s, law, seed) for s in range(len(studies)) for seed in studies[s].seeds or [None] for law in laws]
-    found: dict[tuple[int, str, int | None], tuple[Metrics, Result]] = {}
-    for study in studies:  # says what cannot work before any process is started
+    for study in studies:  # says what cannot work before anything runs
         Coupling(build_system(study.scenario, fmus, study.folder))
-    workers = min(workers or os.cpu_count() or 1, len(jobs))
-    context = multiprocessing.get_context("spawn")  # a forked FMU host would share threads and locks
-    others = multiprocessing.active_children()
-    pool = ProcessPoolExecutor(workers, mp_context=context)
-    try:
-        with _interrupt_ignored():  # by the workers, who inherit this; the parent decides
-            futures = {pool.submit(_run, studies[s], fmus, law, seed): (s, law, seed) for s, law, seed in jobs}
-        for done, future in enumerate(as_completed(futures), start=1):
-            found[futures[future]] = future.result()
-            if progress is not None:
-                progress(done, len(jobs))
-    except BaseException:
-        for process in multiprocessing.active_children():
-            if process not in others:
-                process.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    jobs = [
+        Job((s, law, seed), study.scenario.changed(_changes(law, seed)), study.folder)
+        for s, study in enumerate(studies)
+        for seed in study.seeds or [None]
+        for law in laws
+    ]
+    found = run_all(jobs, fmus, lambda result: (evaluate(result), result), workers, progress)
     comparisons = []
     for s, study in enumerate(studies):
         draws = tuple(Draw(law, seed, found[s, law, seed][0]) for law in laws for seed in study.seeds or [None])
@@ -129,20 +111,5 @@ def compare(
     return comparisons
 
 
-@contextmanager
-def _interrupt_ignored() -> Iterator[None]:
-    """Ignore Ctrl-C for as long as it takes to start processes."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    earlier = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, earlier)
-
-
-def _run(study: Study, fmus: Path, law: str, seed: int | None) -> tuple[Metrics, Result]:
-    changes = {"controller.start.law": law} | ({} if seed is None else {"run.seed": seed})
-    result = run_scenario(study.scenario.changed(changes), fmus, study.folder)
-    return evaluate(result), result
+def _changes(law: str, seed: int | None) -> dict[str, str | int]:
+    return {"controller.start.law": law} | ({} if seed is None else {"run.seed": seed})

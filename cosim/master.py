@@ -65,6 +65,10 @@ class Signal:
     target: str
     function: Callable[[float], float]
 
+    def ahead(self, start_time: float, step: float, first: int, count: int) -> Sequence[float]:
+        """Return the values at start_time + k step for `count` steps from `first` on."""
+        return [self.function(start_time + k * step) for k in range(first, first + count)]
+
 
 @dataclass(frozen=True)
 class System:
@@ -98,7 +102,7 @@ class Coupling:
         self.instances = {c.name: Instance(c.name, Path(c.path)) for c in system.components}
         self.start = {c.name: self.instances[c.name].checked_start(c.start) for c in system.components}
         self.wires = [(self._end(w.source, "output"), self._end(w.target, "input")) for w in system.wires]
-        self.signals = [(self._end(s.target, "input"), s.function) for s in system.signals]
+        self.signals = [(self._end(s.target, "input"), s) for s in system.signals]
         for source, target in self.wires:
             self._check_wire(source, target)
         self._check_single_sources()
@@ -167,16 +171,16 @@ class _Exchange:
         for source, target in coupling.wires:
             self.copies[target[0]].append((*where_out[source], *where_in[target]))
         self.drives = {name: [] for name in instances}
-        for target, function in coupling.signals:
-            self.drives[target[0]].append((function, *where_in[target]))
+        for target, driver in coupling.signals:
+            self.drives[target[0]].append((driver, *where_in[target]))
         self.recorded = [where_out[tuple(name.split("."))] for name in recorded]
 
     def gather(self, name: str, time: float) -> None:
         """Copy what the instance's inputs are wired to into its input buffers."""
         for source, i, target, j in self.copies[name]:
             target[j] = source[i]
-        for function, target, j in self.drives[name]:
-            target[j] = function(time)
+        for driver, target, j in self.drives[name]:
+            target[j] = driver.function(time)
 
 
 def _slots(ports: Mapping[str, list[Port]]) -> dict[tuple[str, ...], tuple[ctypes.Array, int]]:
@@ -341,7 +345,7 @@ class _Run:
             [exchange.inputs[n] for n in names],
             [exchange.outputs[n] for n in names],
             [[((a, i), (b, j)) for a, i, b, j in exchange.copies[n]] for n in names],
-            [[(function, (b, j)) for function, b, j in exchange.drives[n]] for n in names],
+            [[(driver.ahead, (b, j)) for driver, b, j in exchange.drives[n]] for n in names],
             (recorder.slots[True], recorder.tables[True]),
             (recorder.slots[False], recorder.tables[False]),
             recorder.time,

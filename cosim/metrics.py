@@ -22,8 +22,9 @@ class Metrics:
 
     settling_time [s]: |q| stays within the tolerance from then on; NaN where it does not. integral_q2 [rad^2 s]: integral
     of |q|^2 over the run. steady_rms [rad]: RMS of |q| over the last seconds. energy [V^2 s]: integral of V^2.
-    peak_voltage [V]. capture_time [s]: the stabilizing law first acts; NaN where it never does. captures: how often it
-    took over.
+    peak_voltage [V]. voltage_variation [V/s]: total variation of V per second over the last seconds, the measure of
+    chattering; for a result with every row. capture_time [s]: the stabilizing law first acts; NaN where it never does.
+    captures: how often it took over.
     """
 
     settling_time: float
@@ -31,6 +32,7 @@ class Metrics:
     steady_rms: float
     energy: float
     peak_voltage: float
+    voltage_variation: float
     capture_time: float
     captures: int
 
@@ -71,6 +73,23 @@ def settling_time(time: Array, q: Array, tolerance: float) -> float:
     return float(time[outside[-1] + 1]) if outside[-1] + 1 < len(time) else math.nan
 
 
+def takeovers(mode: Array) -> Array:
+    """Return the rows at which the stabilizing law takes over, from the controller's output `mode`."""
+    stabilizing = mode == STABILIZING
+    return np.flatnonzero(stabilizing & ~np.concatenate([[False], stabilizing[:-1]]))
+
+
+def kept_upright(result: Result) -> bool:
+    """Return whether the stabilizing law took over once and acts at the end."""
+    mode = result["controller.mode"]
+    return takeovers(mode).size == 1 and bool(mode[-1] == STABILIZING)
+
+
+def variation_rate(time: Array, signal: Array) -> float:
+    """Return the total variation of a sampled signal per second, sum |s_k - s_{k-1}| / (t_n - t_1); NaN for one row."""
+    return float(np.sum(np.abs(np.diff(signal))) / (time[-1] - time[0])) if len(time) > 1 else math.nan
+
+
 def evaluate(result: Result, tolerance: float = 0.02, steady: float = 3.0) -> Metrics:
     """Return the metrics of `result`; `tolerance` [rad] defines settling, `steady` [s] the steady state at the end.
 
@@ -81,8 +100,7 @@ def evaluate(result: Result, tolerance: float = 0.02, steady: float = 3.0) -> Me
     if len(time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(time)}")
     q, voltage, mode = angle_norm(result), result["controller.voltage"], result["controller.mode"]
-    stabilizing = mode == STABILIZING
-    takeovers = np.flatnonzero(stabilizing & ~np.concatenate([[False], stabilizing[:-1]]))
+    captures = takeovers(mode)
     late = time >= time[-1] - steady
     return Metrics(
         settling_time=settling_time(time, q, tolerance),
@@ -90,6 +108,7 @@ def evaluate(result: Result, tolerance: float = 0.02, steady: float = 3.0) -> Me
         steady_rms=float(np.sqrt(np.mean(q[late] ** 2))),
         energy=float(np.sum(voltage[1:] ** 2 * np.diff(time))),
         peak_voltage=float(np.max(np.abs(voltage))),
-        capture_time=float(time[takeovers[0]]) if takeovers.size else math.nan,
-        captures=int(takeovers.size),
+        voltage_variation=variation_rate(time[late], voltage[late]),
+        capture_time=float(time[captures[0]]) if captures.size else math.nan,
+        captures=int(captures.size),
     )

@@ -91,11 +91,14 @@ def _advance() -> Callable[..., int]:
 Slot = tuple[ctypes.Array, int]
 """A place in a port's buffer."""
 
+Ahead = Callable[[float, float, int, int], Sequence[float]]
+"""A signal's values ahead: from start time, step, index of the first step and number of steps."""
+
 
 class NativeLoop:
     """The C structs of one run, and all that they point to.
 
-    `wires` and `signals` are, per instance in stepping order, (source, target) and (function of time, target); `reals`
+    `wires` and `signals` are, per instance in stepping order, (source, target) and (`Signal.ahead`, target); `reals`
     and `integers` are (recorded outputs, array with a row for each record and a column for each output, of float64 and of
     int64), and `times` the rows' times.
     """
@@ -106,14 +109,14 @@ class NativeLoop:
         inputs: Sequence[Sequence[Port]],
         outputs: Sequence[Sequence[Port]],
         wires: Sequence[Sequence[tuple[Slot, Slot]]],
-        signals: Sequence[Sequence[tuple[Callable[[float], float], Slot]]],
+        signals: Sequence[Sequence[tuple[Ahead, Slot]]],
         reals: tuple[Sequence[Slot], np.ndarray],
         integers: tuple[Sequence[Slot], np.ndarray],
         times: np.ndarray,
     ) -> None:
         self._advance = _advance()
         self._kept: list[Any] = [instances, inputs, outputs, reals, integers, times]
-        self._functions: list[tuple[Callable[[float], float], ctypes.Array]] = []
+        self._signals: list[tuple[Ahead, ctypes.Array]] = []
         stages = [self._instance(*parts) for parts in zip(instances, inputs, outputs, wires, signals, strict=True)]
         self.run = _Run(
             instance_count=len(stages),
@@ -132,11 +135,10 @@ class NativeLoop:
         run.parallel, run.recorded = parallel, recorded
         while run.done < steps and not run.failed_in:
             until = steps
-            if self._functions:
-                until = min(steps, run.done + SIGNAL_STEPS)
-                for function, values in self._functions:
-                    for k in range(run.done, until):
-                        values[k - run.done] = function(start_time + k * step)
+            if self._signals:
+                until = min(steps, (run.done // SIGNAL_STEPS + 1) * SIGNAL_STEPS)
+                for ahead, values in self._signals:
+                    values[: until - run.done] = ahead(start_time, step, run.done, until - run.done)
             self._advance(ctypes.byref(run), until, SECONDS_PER_CALL)
             yield run.done
 
@@ -158,14 +160,14 @@ class NativeLoop:
         inputs: Sequence[Port],
         outputs: Sequence[Port],
         wires: Sequence[tuple[Slot, Slot]],
-        signals: Sequence[tuple[Callable[[float], float], Slot]],
+        signals: Sequence[tuple[Ahead, Slot]],
     ) -> _Instance:
         component, do_step = instance.pointers()
         rows = []
-        for function, target in signals:
+        for ahead, target in signals:
             kind: Any = target[0]._type_
             values = (kind * SIGNAL_STEPS)()
-            self._functions.append((function, values))
+            self._signals.append((ahead, values))
             rows.append(_Signal(ctypes.addressof(values), _address(target), ctypes.sizeof(kind)))
         wire_rows = [_Wire(_address(s), _address(t), ctypes.sizeof(t[0]._type_)) for s, t in wires]
         return _Instance(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -103,10 +105,31 @@ class DisturbanceSection(_Section):
     )
     gain: Finite = Field(1.0, description="factor of the whole sum, the paper's G [1]")
     sines: tuple[Sine, ...] = Field((), description="terms of the sum")
+    start: Finite = Field(
+        0.0, description="time before which the disturbance is 0 [s]; the sines' phases count from t = 0"
+    )
 
     def value(self, time: float) -> float:
         """Return the disturbance at `time` [s]."""
+        if time < self.start:
+            return 0.0
         return self.gain * sum(s.amplitude * math.sin(s.frequency * time + s.phase) for s in self.sines)
+
+
+@dataclass(frozen=True)
+class DisturbanceSignal(Signal):
+    """A disturbance as a signal: values ahead are computed once for all runs with the same disturbance and step."""
+
+    section: DisturbanceSection
+
+    def ahead(self, start_time: float, step: float, first: int, count: int) -> Sequence[float]:
+        """Return the values at start_time + k step for `count` steps from `first` on."""
+        return _ahead(self.section, start_time, step, first, count)  # type: ignore[arg-type] # frozen, so hashable
+
+
+@lru_cache(maxsize=256)
+def _ahead(section: DisturbanceSection, start_time: float, step: float, first: int, count: int) -> tuple[float, ...]:
+    return tuple(section.value(start_time + k * step) for k in range(first, first + count))
 
 
 class RecordSection(_Section):
@@ -144,6 +167,12 @@ class Scenario(_Section):
                 raise UserError(f"the scenario has no entry {path!r}")
             place[last] = value
         return _validated(data, self.name)
+
+    def to_toml(self) -> str:
+        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name."""
+        import tomli_w  # noqa: PLC0415
+
+        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
 
 
 def built_in_names() -> list[str]:
@@ -214,10 +243,10 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
         plant_start |= plant_start_values(scenario.plant.parameters)
     if scenario.run.seed is not None:
         plant_start |= random_measurement(scenario.run.seed)
-    controller_fmu = _find(scenario.controller.fmu, fmus, folder)
+    plant_fmu, controller_fmu, design = files(scenario, fmus, folder)
     controller_start: dict[str, StartValue] = {"sample_time": scenario.run.step}
-    if scenario.controller.design is not None:
-        controller_start |= _design_values((folder or Path()) / scenario.controller.design)
+    if design is not None:
+        controller_start |= _design_values(design)
     if scenario.plant.measurement == "ideal":
         controller_start["velocity_source"] = "input"
     controller_start |= scenario.controller.start
@@ -225,14 +254,30 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
         controller_start = _kalman_values(controller_fmu, controller_start) | controller_start
     signals = []
     if scenario.disturbance.sines and scenario.disturbance.gain:
-        signals.append(Signal(f"plant.{scenario.disturbance.input}", scenario.disturbance.value))
+        section = scenario.disturbance
+        signals.append(DisturbanceSignal(f"plant.{section.input}", section.value, section))
     return System(
         components=(
             Component("controller", controller_fmu, controller_start),
-            Component("plant", _find(scenario.plant.fmu, fmus, folder), plant_start | scenario.plant.start),
+            Component("plant", plant_fmu, plant_start | scenario.plant.start),
         ),
         wires=WIRES[scenario.plant.measurement],
         signals=signals,
+    )
+
+
+def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[Path, Path, Path | None]:
+    """Return the paths of the plant FMU, the controller FMU and, where the scenario has one, the design."""
+
+    def find(file: str) -> Path:
+        beside = (folder or Path()) / file
+        return beside if folder is not None and beside.is_file() else fmus / file
+
+    design = scenario.controller.design
+    return (
+        find(scenario.plant.fmu),
+        find(scenario.controller.fmu),
+        None if design is None else (folder or Path()) / design,
     )
 
 
@@ -265,25 +310,32 @@ def run_scenario(
 
 
 def _design_values(path: Path) -> dict[str, StartValue]:
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        raise UserError(f"design file {path} does not exist") from None
+    return _values_of(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=16)  # a design's proof takes longer than a run
+def _values_of(path: Path, _time: int, _size: int) -> dict[str, StartValue]:
     from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
     from ihc_fmu.start_values import design_values  # noqa: PLC0415
 
-    if not path.is_file():
-        raise UserError(f"design file {path} does not exist")
     return dict(design_values(Design.load(path)))
 
 
 def _kalman_values(fmu: Path, start: Mapping[str, StartValue]) -> dict[str, StartValue]:
     """Return the Kalman filter's gain for the sample time and the nominal model, the FMU's where `start` has no other."""
-    from ihc_fmu.start_values import kalman_values  # noqa: PLC0415 - heavy
-
     from .fmu import as_value, describe  # noqa: PLC0415
 
     variables = [v for v in describe(fmu)[1].modelVariables if v.name.startswith("nominal_")]
     nominal = {v.name: float(as_value(v, start.get(v.name, float(v.start)))) for v in variables}  # type: ignore[arg-type]
-    return dict(kalman_values(nominal, float(start["sample_time"])))
+    return _kalman_gain(tuple(nominal.items()), float(start["sample_time"]))
 
 
-def _find(file: str, fmus: Path, folder: Path | None) -> Path:
-    beside = (folder or Path()) / file
-    return beside if folder is not None and beside.is_file() else fmus / file
+@lru_cache(maxsize=16)  # a Riccati equation
+def _kalman_gain(nominal: tuple[tuple[str, float], ...], sample_time: float) -> dict[str, StartValue]:
+    from ihc_fmu.start_values import kalman_values  # noqa: PLC0415 - heavy
+
+    return dict(kalman_values(dict(nominal), sample_time))

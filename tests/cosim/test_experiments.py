@@ -26,7 +26,7 @@ def study():
 
 @pytest.fixture(scope="session")
 def compared(study, fmus):
-    """Two laws, two seeds, two processes; and what the progress said."""
+    """Two laws, two seeds, two threads; and what the progress said."""
     seen = []
     (comparison,) = compare([study], fmus, ("LC", "IHC"), 2, lambda *counts: seen.append(counts))
     return comparison, seen
@@ -44,7 +44,7 @@ def single_runs(study, fmus):
 # The machinery
 
 
-def test_a_comparison_in_processes_equals_single_runs(compared, single_runs, same):
+def test_a_comparison_equals_single_runs(compared, single_runs, same):
     comparison, seen = compared
     assert {(d.law, d.seed): d.metrics.as_dict() for d in comparison.draws} == {
         key: pytest.approx(evaluate(result).as_dict(), rel=0, abs=0, nan_ok=True) for key, result in single_runs.items()
@@ -79,7 +79,7 @@ def test_what_a_run_refuses_the_comparison_refuses(study, fmus):
 
 
 def draws(law, *settling, captures=1):
-    return [Draw(law, seed, Metrics(t, 1.0, 0.1, 2.0, 3.0, t, captures)) for seed, t in enumerate(settling)]
+    return [Draw(law, seed, Metrics(t, 1.0, 0.1, 2.0, 3.0, 4.0, t, captures)) for seed, t in enumerate(settling)]
 
 
 @pytest.mark.parametrize(

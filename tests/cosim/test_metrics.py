@@ -39,6 +39,17 @@ def test_energy_of_held_voltages_is_exact(made_result):
     assert evaluate(made_result(TIME, controller_voltage=-2.0)).peak_voltage == 2.0
 
 
+def test_chattering_is_the_voltages_total_variation_per_second_in_steady_state(made_result):
+    """A square wave of height 2a and n edges per second varies by 2 a n; what happened before does not count."""
+    square = np.where((np.arange(len(TIME)) // 20) % 2, 0.3, -0.3)  # an edge every 20 ms
+    found = evaluate(made_result(TIME, controller_voltage=np.where(TIME < 6.9, 5.0 * square, square)))
+    assert found.voltage_variation == pytest.approx(0.6 * 50.0, rel=0.01)
+    sine = evaluate(made_result(TIME, controller_voltage=0.5 * np.sin(20 * math.pi * TIME)))
+    assert sine.voltage_variation == pytest.approx(4 * 0.5 * 10.0, rel=1e-3)
+    assert evaluate(made_result(TIME, controller_voltage=7.0)).voltage_variation == 0.0
+    assert math.isnan(evaluate(made_result([0.0, 1.0]), steady=0.1).voltage_variation)
+
+
 @given(st.floats(-50, 50))
 def test_wrapping_keeps_the_angle_and_ends_in_the_interval(angle):
     found = wrapped(np.array([angle]))[0]

@@ -24,7 +24,7 @@ from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.start_values import kalman_values, nominal_values
 from plant_fmu.parameters import PARAMETER_SETS
 
-BUILT_IN = ["disturbed", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
+BUILT_IN = ["disturbed", "paper", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
 
 FULL = """
 description = "all of it"
@@ -46,6 +46,7 @@ start = { law = "LC" }
 input = "pendulum_torque"
 gain = 2
 sines = [{ amplitude = 3, frequency = 5.0, phase = 0.5 }]
+start = 1
 [record]
 outputs = ["plant.theta"]
 every = 4
@@ -98,6 +99,7 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
             "input": "pendulum_torque",
             "gain": 2.0,
             "sines": ({"amplitude": 3.0, "frequency": 5.0, "phase": 0.5},),
+            "start": 1.0,
         },
         "record": {"outputs": ("plant.theta",), "every": 4},
     }
@@ -331,8 +333,44 @@ def test_another_fmu_takes_the_plants_place(fmus, tiny_slave, tmp_path):
 )
 def test_the_disturbance_is_a_gain_times_a_sum_of_sines(gain, sines, time):
     terms = tuple(Sine(amplitude=a, frequency=f, phase=p) for a, f, p in sines)
-    found = DisturbanceSection(input="pendulum_torque", gain=gain, sines=terms).value(time)
+    found = DisturbanceSection(input="pendulum_torque", gain=gain, sines=terms).value(time)  # type: ignore[call-arg]
     assert found == pytest.approx(gain * sum(a * math.sin(f * time + p) for a, f, p in sines), abs=1e-9)
+
+
+def test_a_disturbance_is_zero_before_its_start_and_keeps_its_phase():
+    section = DisturbanceSection(sines=(Sine(amplitude=2.0, frequency=3.0),), start=1.5)  # type: ignore[call-arg]
+    assert section.value(1.4999) == 0.0
+    assert section.value(1.5) == 2.0 * math.sin(4.5)
+
+
+@pytest.mark.parametrize("engine", ["native", "fmpy"])
+def test_disturbances_ahead_are_those_of_each_step(fmus, engine):
+    """Two runs share the values computed ahead; a third with another gain, and the same runs alone, do not differ."""
+    scenario, folder = load_scenario("disturbed")
+    runs = [
+        run_scenario(
+            scenario.changed(
+                {"run.engine": engine, "run.duration": 0.2, "disturbance.gain": gain, "record.outputs": None}
+            ),
+            fmus,
+            folder,
+        )
+        for gain in (60.0, 60.0, 200.0)
+    ]
+    np.testing.assert_array_equal(runs[0]["plant.theta"], runs[1]["plant.theta"])
+    assert (runs[0]["plant.theta"][2:] != runs[2]["plant.theta"][2:]).any()
+    signal = next(iter(build_system(scenario, fmus, folder).signals))
+    ahead = signal.ahead(0.25, 1e-3, 7, 5)
+    assert list(ahead) == [signal.function(0.25 + k * 1e-3) for k in range(7, 12)]
+
+
+def test_a_scenario_written_as_toml_is_read_back_as_it_was(written):
+    scenario, _ = load_scenario(written(FULL))
+    again, _ = load_scenario(written(scenario.to_toml(), "again.toml"))
+    assert again.model_copy(update={"name": "mine"}) == scenario
+    for name in BUILT_IN:
+        given = load_scenario(name)[0]
+        assert load_scenario(written(given.to_toml(), f"{name}.toml"))[0] == given
 
 
 def test_the_disturbance_acts_on_the_plants_input(fmus):
