@@ -3,10 +3,13 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo paper test lint bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
+
+paper: $(VENV)/installed   ## the paper's experiments, repeated and judged; half an hour, can be interrupted and continued
+	$(BIN)/qube-ihc paper
 
 test: $(VENV)/installed lint   ## lint, type check and all tests
 	$(BIN)/pytest

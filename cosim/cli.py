@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import tomllib
-from collections.abc import Iterable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
     from .experiments import Comparison
+    from .paper.claims import Claim
     from .results import Result
+    from .tuning import Tuning
 
 FAILED = 1
 USAGE = 2
@@ -312,7 +314,7 @@ def run(
     if can_evaluate(result):
         for name, value in evaluate(result).as_dict().items():
             unit = "" if math.isnan(value) else METRIC_UNITS[name]
-            console.print(f"  {name:14} {_number(value)} {unit}".rstrip())
+            console.print(f"  {name:17} {_number(value)} {unit}".rstrip())
 
 
 METRIC_UNITS = {
@@ -321,6 +323,7 @@ METRIC_UNITS = {
     "steady_rms": "rad",
     "energy": "V^2 s",
     "peak_voltage": "V",
+    "voltage_variation": "V/s",
     "capture_time": "s",
     "captures": "",
 }
@@ -341,7 +344,7 @@ def compare(
     scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
     draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; none: one per core.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
     ] = Path("results"),
@@ -392,15 +395,42 @@ def _print_comparison(comparison: Comparison) -> None:
         "steady RMS |q| [rad]",
         "∫V² dt [V² s]",
         "peak V [V]",
+        "variation [V/s]",
         "capture [s]",
     )
     table.add_column("law")
     for heading in headings:
         table.add_column(_escaped(heading), justify="right")
-    names = ("settling_time", "integral_q2", "steady_rms", "energy", "peak_voltage", "capture_time")
+    names = (
+        "settling_time",
+        "integral_q2",
+        "steady_rms",
+        "energy",
+        "peak_voltage",
+        "voltage_variation",
+        "capture_time",
+    )
     for law in laws:
         table.add_row(law, *(_number(comparison.median(law, name)) for name in names))
     console.print(table)
+
+
+@contextmanager
+def _staged_progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar for each stage of long work that keeps what is finished; on Ctrl-C say so."""
+    with _progress() as bar:
+        tasks: dict[str, Any] = {}
+
+        def report(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, total=total)
+            bar.update(tasks[what], completed=done, total=total)
+
+        try:
+            yield report
+        except KeyboardInterrupt:
+            bar.console.print("interrupted; finished runs are kept, and the same command goes on from there")
+            raise
 
 
 def _progress() -> Progress:
@@ -413,6 +443,149 @@ def _progress() -> Progress:
         TimeElapsedColumn(),
     )
     return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
+
+
+@app.command()
+def tune(
+    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
+    measure: Annotated[
+        str,
+        typer.Option(help="What to make small: integral_q2, steady_rms, settling_time, energy or voltage_variation."),
+    ] = "integral_q2",
+    most_chattering: Annotated[
+        float | None, typer.Option(help="Largest voltage variation per second, relative to the LC's; none: no limit.")
+    ] = None,
+    a_min: Annotated[str | None, typer.Option(help="Values of a_min, separated by commas; none: 1 to 0.1.")] = None,
+    b_max: Annotated[str | None, typer.Option(help="Values of b_max; none: 1, 1.25, 1.6, 2.")] = None,
+    u_max: Annotated[
+        str | None, typer.Option(help="Scales of P, |k x| on the unit ball [V]; none: 1.5, 3, 10.")
+    ] = None,
+    mu: Annotated[str | None, typer.Option(help="Values of mu; none: 0.5, 1.")] = None,
+    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets and noise for each point.")] = 8,
+    design: Annotated[
+        Path | None, typer.Option(help="Design file with your A, b, k_lin and alpha; none: the default design.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder to write to; none: `results/tune_NAME`.")
+    ] = None,
+    fmus: FmusOption = Path("fmus"),
+    change: SetOption = None,
+) -> None:
+    """Tune a_min, b_max, the scale of P and mu as the paper says: from the LC on, as long as the measure improves.
+
+    Writes all points as a table and a picture, and the best as a scenario and a design. Finished runs are kept: the same
+    command, or one with more values, goes on from there.
+    """
+    from ihc_fmu.start_values import default_design
+
+    from .campaign import Journal
+    from .scenario import load_scenario
+    from .tuning import PURPOSE, Grid, Problem, save
+    from .tuning import tune as run_tuning
+
+    chosen, folder = load_scenario(scenario)
+    chosen = chosen.changed(dict(_assignments(change)))
+    given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
+    grid = Grid(
+        **{name: _numbers(f"--{name.replace('_', '-')}", text) for name, text in given.items() if text is not None}
+    )
+    limit = math.inf if most_chattering is None else most_chattering
+    found = default_design() if design is None else _load_design(design)
+    problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
+    target = output or Path("results") / f"tune_{chosen.name}"
+    with Journal(target / "runs.jsonl", PURPOSE) as journal, _staged_progress() as report:
+        tuning = run_tuning(problem, grid, journal, workers, report)
+    paths = save(tuning, problem, target)
+    _print_tuning(tuning)
+    for path in paths:
+        console.print(f"wrote {path}")
+
+
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise UserError(f"{option} takes numbers separated by commas, found {text!r}") from None
+
+
+def _print_tuning(tuning: Tuning) -> None:
+    from rich.table import Table
+
+    title = (
+        f"{tuning.measure} [{METRIC_UNITS[tuning.measure]}]: where the paper's rule stops, for each mu and scale of P"
+    )
+    table = Table(title=_escaped(title), title_justify="left")
+    for heading in ("mu", "u_max [V]", "a_min", "b_max", "measure", "over LC", "variation [V/s]", "upright"):
+        table.add_column(_escaped(heading), justify="right")
+    linear = tuning.linear
+    table.add_row(
+        "LC", "", "", "", f"{linear.measure:.4g}", "", f"{linear.chattering:.4g}", f"{linear.kept}/{linear.draws}"
+    )
+    for point in tuning.stops:
+        o = tuning.outcomes[point]
+        change = f"{100 * (o.measure / linear.measure - 1):+.1f} %"
+        cells = (*(f"{v:g}" for v in point), f"{o.measure:.4g}", change, f"{o.chattering:.4g}", f"{o.kept}/{o.draws}")
+        table.add_row(*cells, style="bold" if o is tuning.best else None)
+    console.print(table)
+    best, lowest = tuning.best.point, min(point.a_min for point in tuning.outcomes)
+    if best.a_min == lowest < 1.0:
+        console.print(f"the best is at the smallest a_min tried, {lowest:g}; --a-min takes smaller ones")
+
+
+@app.command()
+def paper(
+    quick: Annotated[
+        bool, typer.Option(help="A smaller study, in less than a minute: 10 draws instead of 200.")
+    ] = False,
+    draws: Annotated[
+        int | None, typer.Option(min=1, help="Random draws for each controller and condition; none: 200, quick 10.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for everything.")] = Path("results/paper"),
+    fmus: Annotated[
+        Path | None, typer.Option(help="Folder with exported FMUs; none: exports them to `fmus` in the output folder.")
+    ] = None,
+) -> None:
+    """Repeat the paper's section V in simulation and judge each of its claims: figures, tables, one HTML report.
+
+    Interrupt it at any time: finished runs are kept, and the same command goes on from there.
+    """
+    from dataclasses import replace
+
+    from ihc_fmu.start_values import default_design
+
+    from .paper.report import make
+    from .paper.study import FULL, QUICK, Study
+
+    size = QUICK if quick else FULL
+    if draws is not None:
+        size = replace(size, draws=draws)
+    if fmus is None:
+        fmus = output / "fmus"
+        export_units(default_design(), output=fmus)
+    with _staged_progress() as report:
+        claims = make(Study(output, fmus, size, workers), report)
+    _print_claims(claims)
+    console.print(f"wrote {output / 'report.html'} and the tables, figures and scenarios beside it")
+
+
+def _print_claims(claims: list[Claim]) -> None:
+    from rich.table import Table
+
+    from .paper.tables import claims_table
+
+    shown = claims_table([claim for claim in claims if claim.main])
+    table = Table(title="the paper's main claims", title_justify="left")
+    for column in shown.columns:
+        table.add_column(_escaped(column.heading))
+    colours = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
+    for row in shown.shown():
+        *cells, verdict = (_escaped(cell) for cell in row)
+        table.add_row(*cells, f"[{colours[verdict]}]{verdict}[/]")
+    console.print(table)
+    counts = {verdict: sum(claim.verdict == verdict for claim in claims) for verdict in colours}
+    console.print("all claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
 
 
 DEMO = {"swing_up": 3, "tilt": 5, "tilt_kalman": 3, "tilt_ideal": 0}

@@ -1,0 +1,195 @@
+"""Figures 3 to 6 in the paper's layout, and those of the further experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..metrics import angle_norm, wrapped
+from ..plots import COLOURS, save_figure
+from ..results import Result
+from . import printed
+from .claims import Found, Share, margin
+from .study import COMPARED, GAINS, Study, sweep_name
+
+PALETTE = {**COLOURS, "SMC1": COLOURS["SMC"], "SMC2": "#a6611a"}
+ORDER = ("SMC1", "SMC2", "LC", "IHC")
+"""In which curves are drawn: the last on top."""
+
+STEP_COLOURS = ("#542788", "#b35806", "#1b7837")
+
+Pictures = Mapping[tuple[float, str], Result]
+"""The reference runs by gain and controller."""
+
+
+def save_all(folder: Path, pictures: Pictures, found: Found, study: Study, shares: Sequence[tuple[str, Share]]) -> None:
+    """Write every figure to `folder`."""
+    plain = {law: pictures[0, law] for law in ORDER}
+    save_figure(_figure_3(plain), folder / "figure_3.png", "Figure 3: angles of arm and pendulum")
+    save_figure(_figure_4(plain), folder / "figure_4.png", "Figure 4: |q| without artificial perturbation")
+    save_figure(_figure_5(plain), folder / "figure_5.png", "Figure 5: control signal")
+    save_figure(_figure_6(pictures), folder / "figure_6.png", "Figure 6: |q| with artificial perturbation")
+    save_figure(_shares(shares), folder / "shares.png", "Share of draws in which the IHC is better than the LC")
+    save_figure(_chattering(found, study), folder / "chattering.png", "What lowering a_min brings, and costs")
+    save_figure(_swing_ups(found), folder / "swing_ups.png", "The margin of Table I over random swing-ups")
+
+
+def _figure_3(results: Mapping[str, Result]) -> Figure:
+    figure = Figure(figsize=(9, 8), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    panels = ((top, _theta, "(a) arm $\\theta$ [rad]", 0.08), (bottom, _delta, "(b) pendulum $\\delta$ [rad]", 0.58))
+    for axis, signal, label, low in panels:
+        _curves(axis, results, signal)
+        _inset(axis, results, signal, (0.42, low, 0.56, 0.4))
+        axis.set_ylabel(label)
+    top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
+    bottom.set_xlabel("time [s]")
+    return figure
+
+
+def _figure_4(results: Mapping[str, Result]) -> Figure:
+    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    axis = figure.subplots()
+    _curves(axis, results, angle_norm)
+    _inset(axis, results, angle_norm, (0.42, 0.35, 0.56, 0.5))
+    axis.axvline(printed.SETTLED_BY, color="0.5", lw=0.8, ls=":")
+    axis.set(xlabel="time [s]", ylabel="|q| [rad]")
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
+    return figure
+
+
+def _figure_5(results: Mapping[str, Result]) -> Figure:
+    figure = Figure(figsize=(9, 5.6), layout="constrained")
+    for axis, law in zip(figure.subplots(2, 1, sharex=True, sharey=True), ("LC", "IHC"), strict=True):
+        _curves(axis, {law: results[law]}, _voltage)
+        _inset(axis, {law: results[law]}, _voltage, (0.42, 0.62, 0.56, 0.34))
+        axis.set_ylabel(f"{law} [V]")
+    figure.axes[1].set_xlabel("time [s]")
+    return figure
+
+
+def _figure_6(pictures: Pictures) -> Figure:
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    axes = figure.subplots(len(GAINS) - 1, 1, sharex=True)
+    for axis, gain in zip(axes, GAINS[1:], strict=True):
+        results = {law: pictures[gain, law] for law in ORDER}
+        _curves(axis, results, angle_norm)
+        axis.set_ylim(top=1.6 * axis.get_ylim()[1])
+        _inset(axis, results, angle_norm, (0.42, 0.42, 0.56, 0.54))
+        axis.set_ylabel(f"G = {gain:g}: |q| [rad]")
+    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(ORDER), frameon=False)
+    axes[-1].set_xlabel("time [s]")
+    return figure
+
+
+def _theta(result: Result) -> np.ndarray:
+    return result["plant.theta"]
+
+
+def _delta(result: Result) -> np.ndarray:
+    angle = wrapped(result["plant.delta"])
+    angle[1:][np.abs(np.diff(angle)) > np.pi] = np.nan  # no line across the jump from pi to -pi
+    return angle
+
+
+def _voltage(result: Result) -> np.ndarray:
+    return result["controller.voltage"]
+
+
+def _curves(axis: Any, results: Mapping[str, Result], signal: Any) -> None:
+    for law, result in results.items():
+        axis.plot(result.time, signal(result), color=PALETTE[law], lw=1.0, label=law)
+    axis.grid(alpha=0.3)
+    axis.margins(x=0)
+
+
+def _inset(axis: Any, results: Mapping[str, Result], signal: Any, place: tuple[float, float, float, float]) -> None:
+    inset = axis.inset_axes(place)
+    for law, result in results.items():
+        shown = (result.time >= printed.WINDOW[0]) & (result.time <= printed.WINDOW[1])
+        inset.plot(result.time[shown], signal(result)[shown], color=PALETTE[law], lw=0.9)
+    inset.tick_params(labelsize="x-small")
+    inset.margins(x=0)
+    inset.grid(alpha=0.3)
+
+
+def _shares(shares: Sequence[tuple[str, Share]]) -> Figure:
+    figure = Figure(figsize=(9, 0.24 * len(shares) + 1.2), layout="constrained")
+    axis = figure.subplots()
+    for row, (_, share) in enumerate(shares):
+        low, high = share.interval
+        colour = {"holds": "#1b7837", "does not hold": "#b2182b", "undecided": "#777777"}[share.verdict]
+        axis.plot([100 * low, 100 * high], [-row, -row], color=colour, lw=2)
+        if share.draws:
+            axis.plot(100 * share.value, -row, "o", color=colour, ms=4)
+    axis.axvline(50.0, color="0.4", lw=0.8)
+    axis.set_yticks([-row for row in range(len(shares))], [name for name, _ in shares], fontsize="x-small")
+    axis.set(xlim=(0, 100), xlabel="share of draws [%], with its 95 % confidence interval")
+    axis.grid(axis="x", alpha=0.3)
+    axis.margins(y=0.01)
+    return figure
+
+
+def _chattering(found: Found, study: Study) -> Figure:
+    chains = dict.fromkeys(variant.about.removeprefix("IHC ") for variant in study.sweep.values())
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    panels = figure.subplots(2, len(chains), sharex=True, sharey="row", squeeze=False)
+    for column, chain in enumerate(chains):
+        for name, axis in zip(("integral_q2", "voltage_variation"), panels[:, column], strict=True):
+            for step, colour in zip(study.size.sample_times, STEP_COLOURS, strict=False):
+                values = [sweep_median(found, chain, a, step, name) for a in study.size.a_mins]
+                axis.plot(study.size.a_mins, values, "o-", ms=3, lw=1, color=colour, label=f"{step * 1e3:g} ms")
+            axis.grid(alpha=0.3)
+        panels[0, column].set_title(chain, fontsize="medium")
+        panels[0, column].set_yscale("log")
+        panels[1, column].set_yscale("log")
+        panels[1, column].set_xlabel("$a_{min}$ (1: the LC)")
+    panels[0, 0].invert_xaxis()
+    panels[0, 0].set_ylabel("$\\int |q|^2 dt$ [rad² s]")
+    panels[1, 0].set_ylabel("voltage variation [V/s]")
+    panels[0, -1].legend(title="sample time", fontsize="small")
+    return figure
+
+
+def sweep_median(found: Found, chain: str, a_min: float, step: float, name: str) -> float:
+    """Return the median of a number over the draws of one point of the sweep; a lost pendulum counts as infinite."""
+    variant = sweep_name(chain, a_min)
+    keys = [key for key in found if key.experiment == "chattering" and key.variant == variant and key.step == step]
+    values = [found[key][name] if found[key].get("kept") else np.inf for key in keys]
+    median = float(np.median(values))
+    return median if np.isfinite(median) else np.nan
+
+
+def _swing_ups(found: Found) -> Figure:
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    axis = figure.subplots()
+    pairs = swing_up_pairs(found)
+    near = [abs(lc["integral_q2"] / printed.LMSE[0]["LC"] - 1.0) < 0.1 for _, lc, _ in pairs]
+    for inside, colour, label in ((False, "0.7", "all"), (True, "#1b7837", "LMSE of the LC within 10 % of 11.23")):
+        chosen = [pair for pair, flag in zip(pairs, near, strict=True) if flag is inside]
+        x = [lc["arm_peak"] for _, lc, _ in chosen]
+        y = [margin(ihc["integral_q2"], lc["integral_q2"]) for _, lc, ihc in chosen]
+        axis.plot(x, y, ".", color=colour, ms=4, label=label)
+    said = margin(printed.LMSE[0]["IHC"], printed.LMSE[0]["LC"])
+    axis.axhline(said, color=COLOURS["LC"], lw=0.9, ls="--", label=f"Table I: {said:.2f} %")
+    axis.axhline(0.0, color="0.3", lw=0.8)
+    axis.set(xlabel="largest |θ| after the capture, LC [rad]", ylabel="LMSE of IHC relative to LC [%]", ylim=(-5, 3))
+    axis.set_xlim(0, 4)
+    axis.grid(alpha=0.3)
+    axis.legend(loc="lower left")
+    return figure
+
+
+def swing_up_pairs(found: Found) -> list[tuple[int, Mapping[str, float], Mapping[str, float]]]:
+    """Return (draw, numbers with LC, numbers with IHC) of the random swing-ups that both laws kept upright."""
+    pairs = []
+    for key in found:
+        if key.experiment == "swing-ups" and key.variant == COMPARED[0]:
+            ihc = found[key._replace(variant=COMPARED[1])]
+            if found[key].get("kept") and ihc.get("kept"):
+                pairs.append((key.draw, found[key], ihc))
+    return pairs

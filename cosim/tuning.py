@@ -1,0 +1,253 @@
+"""Tuning of the IHC in simulation as the paper describes it: start as the LC, lower a_min while the measure improves.
+
+Section IV of the paper: step 1, a_min = b_max = 1, which is the LC; step 2, decrease a_min and, if necessary, increase
+b_max as long as this improves the control. Here it is done for each scale of P and each mu, against a measure that is named,
+in the measurement chain of a scenario, on the same draws of encoder offsets and noise for every point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ihc_fmu.design import Design, Options, inverse_design
+from ihc_fmu.start_values import design_values
+
+from .campaign import Job, Journal, Numbers, run_numbers
+from .errors import UserError
+from .metrics import evaluate, kept_upright
+from .plots import save_figure
+from .results import Result, write_beside
+from .scenario import Scenario
+
+MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_variation")
+"""Metrics to tune by: smaller is better."""
+
+CHATTERING = "voltage_variation"
+
+PURPOSE = "tuning: numbers 1"
+"""Named in the journal; to be changed with `numbers`."""
+
+
+class Point(NamedTuple):
+    """What is tuned: mu, the scale of P as the largest |k x| on the unit ball [V], a_min, b_max."""
+
+    mu: float
+    u_max: float
+    a_min: float
+    b_max: float
+
+
+@dataclass(frozen=True)
+class Grid:
+    """The values that are tried. Every a_min at b_max = 1 for each mu and u_max; every b_max at the a_min found there."""
+
+    a_min: tuple[float, ...] = tuple(round(1.0 - 0.05 * i, 2) for i in range(19))
+    b_max: tuple[float, ...] = (1.0, 1.25, 1.6, 2.0)
+    u_max: tuple[float, ...] = (1.5, 3.0, 10.0)
+    mu: tuple[float, ...] = (0.5, 1.0)
+
+    def __post_init__(self) -> None:
+        for name, values in (("a_min", self.a_min), ("b_max", self.b_max), ("u_max", self.u_max), ("mu", self.mu)):
+            if not values or not all(math.isfinite(v) and v > 0.0 for v in values) or len(set(values)) < len(values):
+                raise UserError(f"{name} must be different positive numbers, found {', '.join(map(str, values))}")
+        if max(self.a_min) != 1.0 or min(self.b_max) != 1.0:
+            raise UserError(
+                f"tuning starts at a_min = b_max = 1: a_min must not exceed 1 and b_max not fall below it, and both lists "
+                f"must have it, found a_min up to {max(self.a_min)} and b_max from {min(self.b_max)}"
+            )
+        if max(self.mu) > 1.0:
+            raise UserError(f"mu must lie in (0, 1], found {max(self.mu)}")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A point's medians over the draws; `kept` of `draws` stayed upright, another counts as infinitely bad."""
+
+    point: Point
+    measure: float
+    chattering: float
+    kept: int
+    draws: int
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """All outcomes, where the paper's rule stopped for each (mu, u_max), and the best of these."""
+
+    measure: str
+    outcomes: Mapping[Point, Outcome]
+    stops: tuple[Point, ...]
+    linear: Outcome
+
+    @property
+    def best(self) -> Outcome:
+        """The best of the points at which the paper's rule stopped."""
+        return min((self.outcomes[point] for point in self.stops), key=lambda o: (o.measure, -o.point.a_min))
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is tuned in: scenario, its folder, the FMUs, the linear controller's design, measure, limit, draws.
+
+    `most_chattering`: largest voltage variation relative to the LC's; infinite without a limit.
+    """
+
+    scenario: Scenario
+    folder: Path
+    fmus: Path
+    design: Design
+    measure: str = "integral_q2"
+    most_chattering: float = math.inf
+    draws: int = 8
+
+    def __post_init__(self) -> None:
+        if self.measure not in MEASURES:
+            raise UserError(f"the measure must be one of {', '.join(MEASURES)}, found {self.measure!r}")
+        if not self.most_chattering > 0.0:
+            raise UserError(f"the limit of chattering must be positive, found {self.most_chattering}")
+
+    def designed(self, point: Point) -> Design:
+        """Return the design with the point's mu and scale of P, for the same A, b, k_lin and alpha."""
+        d = self.design
+        options = Options(mu=point.mu, alpha=d.alpha, u_max=1.0)
+        return inverse_design(d.A, d.b, d.k_lin, options).scaled_to(u_max=point.u_max)
+
+    def at(self, point: Point, design: Design) -> Scenario:
+        """Return the scenario with the IHC of a point."""
+        values = {"law": "IHC", **design_values(design), "a_min": point.a_min, "b_max": point.b_max}
+        changes = {f"controller.start.{name}": value for name, value in values.items()}
+        return self.scenario.changed({**changes, "controller.design": None, "record.every": 1})
+
+
+def tune(
+    problem: Problem,
+    grid: Grid,
+    journal: Journal,
+    workers: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Tuning:
+    """Tune by the paper's rule for each mu and u_max of `grid`; finished runs come from and go to `journal`.
+
+    Raises UserError where the LC itself does not keep the pendulum upright, and what a design or a run raises.
+    """
+    say = progress or (lambda _what, _done, _total: None)
+    families = [(mu, u_max) for mu in grid.mu for u_max in grid.u_max]
+    designs = {family: problem.designed(Point(*family, 1.0, 1.0)) for family in families}
+    outcomes: dict[Point, Outcome] = {}
+
+    def run(what: str, points: Iterable[Point]) -> None:
+        jobs = [
+            Job((point, seed), scenario.changed({"run.seed": seed}), problem.folder)
+            for point in points
+            if point not in outcomes
+            for scenario in [problem.at(point, designs[point.mu, point.u_max])]
+            for seed in range(1, problem.draws + 1)
+        ]
+        found = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
+        for point in dict.fromkeys(key[0] for key in found):
+            draws = [found[point, seed] for seed in range(1, problem.draws + 1)]
+            outcomes[point] = _outcome(point, draws, problem.measure)
+
+    down = sorted(grid.a_min, reverse=True)
+    run("lowering a_min", (Point(*family, a_min, 1.0) for family in families for a_min in down))
+    linear = outcomes[Point(*families[0], 1.0, 1.0)]
+    if not math.isfinite(linear.measure):
+        raise UserError(
+            f"in this scenario the LC keeps the pendulum upright in {linear.kept} of {linear.draws} draws; "
+            f"there is nothing to improve by {problem.measure}"
+        )
+    most = problem.most_chattering * linear.chattering
+    lowest = [_walk([outcomes[Point(*family, a_min, 1.0)] for a_min in down], most).point for family in families]
+    up = sorted(grid.b_max)
+    run("raising b_max", (point._replace(b_max=b_max) for point in lowest for b_max in up))
+    stops = tuple(_walk([outcomes[p._replace(b_max=b_max)] for b_max in up], most).point for p in lowest)
+    return Tuning(problem.measure, outcomes, stops, linear)
+
+
+def numbers(result: Result) -> dict[str, float]:
+    """Return what tuning needs of a run."""
+    metrics = evaluate(result).as_dict()
+    return {**{name: float(metrics[name]) for name in MEASURES}, "kept": float(kept_upright(result))}
+
+
+def _outcome(point: Point, draws: Sequence[Numbers], measure: str) -> Outcome:
+    def median(name: str) -> float:
+        values = [draw[name] if draw.get("kept") and not math.isnan(draw[name]) else math.inf for draw in draws]
+        return float(np.median(values))
+
+    kept = sum(bool(draw.get("kept")) for draw in draws)
+    return Outcome(point, median(measure), median(CHATTERING), kept, len(draws))
+
+
+def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
+    """Return the last outcome before the measure stops improving, chattering exceeds its limit or a draw is lost."""
+    here = steps[0]
+    for step in steps[1:]:
+        if step.measure >= here.measure or step.chattering > most_chattering or step.kept < here.kept:
+            break
+        here = step
+    return here
+
+
+def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
+    """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them."""
+    lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},{CHATTERING},kept,draws,stop"]
+    for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
+        row = (*point, o.measure, o.chattering, o.kept, o.draws, int(point in tuning.stops))
+        lines.append(",".join(map(repr, row)))
+    write_beside(folder / "tuning.csv", "\n".join(lines) + "\n")
+    best = tuning.best.point
+    design = problem.designed(best)
+    design.save(folder / "best.json")
+    values = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
+    changes = {f"controller.start.{name}": value for name, value in values.items()}
+    scenario = problem.scenario.changed({**changes, "controller.design": "best.json"})
+    write_beside(folder / "best.toml", scenario.to_toml())
+    title = (
+        f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
+        "square: where the rule stops; triangle: there with b_max raised"
+    )
+    save_figure(_landscape(tuning), folder / "landscape.png", title)
+    return [folder / name for name in ("tuning.csv", "landscape.png", "best.toml", "best.json")]
+
+
+def _landscape(tuning: Tuning) -> Figure:
+    mus = list(dict.fromkeys(point.mu for point in tuning.outcomes))
+    figure = Figure(figsize=(4.2 * len(mus) + 1, 7), layout="constrained")
+    panels = figure.subplots(2, len(mus), sharex=True, sharey="row", squeeze=False)
+    stops = {(p.mu, p.u_max): p for p in tuning.stops}
+    for column, mu in enumerate(mus):
+        for number, u_max in enumerate(dict.fromkeys(p.u_max for p in tuning.outcomes)):
+            curve = sorted(
+                (o for p, o in tuning.outcomes.items() if (p.mu, p.u_max, p.b_max) == (mu, u_max, 1.0)),
+                key=lambda o: -o.point.a_min,
+            )
+            stop = tuning.outcomes[stops[mu, u_max]]
+            for row, name in enumerate(("measure", "chattering")):
+                axis = panels[row, column]
+                values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
+                a_mins = [o.point.a_min for o in curve]
+                label = f"|k x| ≤ {u_max:g} V on the unit ball"
+                axis.plot(a_mins, values, "o-", ms=3, lw=1, color=f"C{number}", label=label)
+                if stop.point.b_max == 1.0:
+                    axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=f"C{number}")
+                else:
+                    axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=f"C{number}")
+        panels[0, column].set_title(f"μ = {mu:g}", fontsize="medium")
+        panels[1, column].set_xlabel("$a_{min}$ (1: the LC)")
+    for axis in panels.flat:
+        axis.set_yscale("log")
+        axis.grid(alpha=0.3, which="both")
+    panels[0, 0].invert_xaxis()
+    panels[0, 0].set_ylabel(f"{tuning.measure}")
+    panels[1, 0].set_ylabel("voltage variation [V/s]")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    return figure
