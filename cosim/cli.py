@@ -5,29 +5,33 @@ from __future__ import annotations
 import math
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
+from .display import (
+    METRIC_UNITS,
+    console,
+    number_text,
+    print_claims,
+    print_comparison,
+    print_design,
+    print_tuning,
+    progress,
+    say_error,
+    staged_progress,
+    warn_of_messages,
+)
 from .errors import Interrupted, SimulationError, UserError
 from .export import Kind, Smc, export_units
 
-SCENARIOS = Path(__file__).parent / "scenarios"
-
 if TYPE_CHECKING:
-    from rich.progress import Progress
-
     from ihc_fmu.design import Design
 
-    from .experiments import Comparison
-    from .paper.claims import Claim
-    from .results import Result
-    from .tuning import Tuning
+SCENARIOS = Path(__file__).parent / "scenarios"
 
 FAILED = 1
 USAGE = 2
@@ -39,11 +43,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Implicit homogeneous control of the QUBE-Servo 2: **design** it from a linear controller, **export** plant and "
-    "controller as FMUs, **run** scenarios with them, **compare** the laws. `demo` does all of it.",
+    "controller as FMUs, **run** scenarios with them, **compare** the laws, **tune** the controller, repeat the **paper**'s "
+    "experiments. `demo` does the first four.",
 )
-console = Console()
-problems = Console(stderr=True, soft_wrap=True, highlight=False)
-
 SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
 
 FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
@@ -72,21 +74,11 @@ def main() -> None:
     try:
         app()
     except (SimulationError, ArithmeticError, BuildError) as error:
-        _say_error(error)
+        say_error(error)
         sys.exit(FAILED)
     except (UserError, ValueError, OSError) as error:
-        _say_error(error)
+        say_error(error)
         sys.exit(USAGE)
-
-
-def _say_error(error: BaseException) -> None:
-    problems.print(f"[bold red]error:[/] {_escaped(str(error))}")
-
-
-def _escaped(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
 
 
 @app.command()
@@ -133,7 +125,7 @@ def design(
             raise
         raise UserError(f"{error}; the largest feasible alpha is {largest_alpha(A, b, k_lin, mu):.4g} 1/s") from None
     found.save(output)
-    _print_design(found)
+    print_design(found)
     console.print(f"largest feasible alpha for this k_lin and mu: {largest_alpha(A, b, found.k_lin, mu):.4g} 1/s")
     console.print(f"wrote {output}")
 
@@ -163,28 +155,6 @@ def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
         raise UserError(f"{path}: A must be rows of numbers of equal length, b and k_lin lists of numbers") from None
 
 
-def _print_design(found: Design) -> None:
-    import numpy as np
-    from rich.table import Table
-
-    def row(values: Iterable[float]) -> str:
-        return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
-
-    table = Table(title=f"implicit homogeneous controller, {found.method}", show_header=False, title_justify="left")
-    table.add_row("k_lin", row(found.k_lin))
-    table.add_row("k = k_lin + row", row(found.k))
-    table.add_row("P", "\n".join(row(line) for line in found.P))
-    table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
-    table.add_row("origin reached from the unit sphere within", f"{1.0 / (found.mu * found.alpha):.4g} s")
-    table.add_row("largest |k x| on the unit ball", f"{found.u_max:.6g} V")
-    table.add_row("largest states on the unit ball", row(found.extent))
-    poles = np.linalg.eigvals(found.A + np.outer(found.b, found.k_lin))
-    table.add_row("poles of A + b k_lin", ", ".join(f"{p:.4g}" for p in poles))
-    for name, margin in found.certificate.as_dict().items():
-        table.add_row(f"certificate: {name}", f"{margin:.4g}")
-    console.print(table)
-
-
 @app.command()
 def export(
     design: Annotated[
@@ -196,7 +166,7 @@ def export(
     nominal: Annotated[str, typer.Option(help="Parameter set of the controller's nominal model.")] = "ident",
     smc: Annotated[
         Smc,
-        typer.Option(help="fitted: SMC1, a fit to the paper's Table I; linear-poles: SMC2, its linear part is k_lin."),
+        typer.Option(help="fitted: SMC1, a fit to the paper's tables; linear-poles: SMC2, its linear part is k_lin."),
     ] = Smc.fitted,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("fmus"),
     change: Annotated[
@@ -292,7 +262,7 @@ def run(
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
-    with _progress() as bar:
+    with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
             result = run_scenario(
@@ -304,7 +274,7 @@ def run(
                 stopped.result.save(partial)
                 bar.console.print(f"wrote what was recorded until then, {len(stopped.result.time)} rows, to {partial}")
             raise
-    _warn_of_messages(result)
+    warn_of_messages(result)
     result.save(path)
     console.print(f"wrote {path} and {path.with_suffix('.json')}")
     if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:
@@ -314,29 +284,7 @@ def run(
     if can_evaluate(result):
         for name, value in evaluate(result).as_dict().items():
             unit = "" if math.isnan(value) else METRIC_UNITS[name]
-            console.print(f"  {name:17} {_number(value)} {unit}".rstrip())
-
-
-METRIC_UNITS = {
-    "settling_time": "s",
-    "integral_q2": "rad^2 s",
-    "steady_rms": "rad",
-    "energy": "V^2 s",
-    "peak_voltage": "V",
-    "voltage_variation": "V/s",
-    "capture_time": "s",
-    "captures": "",
-}
-
-
-def _number(value: float) -> str:
-    return "never" if math.isnan(value) else f"{value:.4g}"
-
-
-def _warn_of_messages(result: Result) -> None:
-    for instance, messages in result.metadata.get("messages", {}).items():
-        for message in messages:
-            problems.print(f"[yellow]{instance}:[/] {_escaped(message)}")
+            console.print(f"  {name:17} {number_text(value)} {unit}".rstrip())
 
 
 @app.command()
@@ -367,7 +315,7 @@ def compare(
 def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
     from .experiments import compare as run_comparison
 
-    with _progress() as bar:
+    with progress() as bar:
         task = bar.add_task("co-simulation", total=None)
         comparisons = run_comparison(
             studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
@@ -378,71 +326,8 @@ def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], work
         folder = output / comparison.scenario.name
         comparison.save(folder)
         save_comparison(comparison.results, folder, comparison.scenario.description or comparison.scenario.name)
-        _print_comparison(comparison)
+        print_comparison(comparison)
         console.print(f"results and pictures in {folder}\n")
-
-
-def _print_comparison(comparison: Comparison) -> None:
-    from rich.table import Table
-
-    laws = list(comparison.results)
-    count = len(comparison.draws) // len(laws)
-    drawn = f"medians over {count} draws of the encoder offsets" if count > 1 else "one run"
-    table = Table(title=f"{comparison.scenario.name}: {drawn}", title_justify="left")
-    headings = (
-        "settling [s]",
-        "∫|q|² dt [rad² s]",
-        "steady RMS |q| [rad]",
-        "∫V² dt [V² s]",
-        "peak V [V]",
-        "variation [V/s]",
-        "capture [s]",
-    )
-    table.add_column("law")
-    for heading in headings:
-        table.add_column(_escaped(heading), justify="right")
-    names = (
-        "settling_time",
-        "integral_q2",
-        "steady_rms",
-        "energy",
-        "peak_voltage",
-        "voltage_variation",
-        "capture_time",
-    )
-    for law in laws:
-        table.add_row(law, *(_number(comparison.median(law, name)) for name in names))
-    console.print(table)
-
-
-@contextmanager
-def _staged_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each stage of long work that keeps what is finished; on Ctrl-C say so."""
-    with _progress() as bar:
-        tasks: dict[str, Any] = {}
-
-        def report(what: str, done: int, total: int) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, total=total)
-            bar.update(tasks[what], completed=done, total=total)
-
-        try:
-            yield report
-        except KeyboardInterrupt:
-            bar.console.print("interrupted; finished runs are kept, and the same command goes on from there")
-            raise
-
-
-def _progress() -> Progress:
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
 
 
 @app.command()
@@ -494,10 +379,10 @@ def tune(
     found = default_design() if design is None else _load_design(design)
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
-    with Journal(target / "runs.jsonl", PURPOSE) as journal, _staged_progress() as report:
+    with Journal(target / "runs.jsonl", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)
-    _print_tuning(tuning)
+    print_tuning(tuning)
     for path in paths:
         console.print(f"wrote {path}")
 
@@ -507,30 +392,6 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise UserError(f"{option} takes numbers separated by commas, found {text!r}") from None
-
-
-def _print_tuning(tuning: Tuning) -> None:
-    from rich.table import Table
-
-    title = (
-        f"{tuning.measure} [{METRIC_UNITS[tuning.measure]}]: where the paper's rule stops, for each mu and scale of P"
-    )
-    table = Table(title=_escaped(title), title_justify="left")
-    for heading in ("mu", "u_max [V]", "a_min", "b_max", "measure", "over LC", "variation [V/s]", "upright"):
-        table.add_column(_escaped(heading), justify="right")
-    linear = tuning.linear
-    table.add_row(
-        "LC", "", "", "", f"{linear.measure:.4g}", "", f"{linear.chattering:.4g}", f"{linear.kept}/{linear.draws}"
-    )
-    for point in tuning.stops:
-        o = tuning.outcomes[point]
-        change = f"{100 * (o.measure / linear.measure - 1):+.1f} %"
-        cells = (*(f"{v:g}" for v in point), f"{o.measure:.4g}", change, f"{o.chattering:.4g}", f"{o.kept}/{o.draws}")
-        table.add_row(*cells, style="bold" if o is tuning.best else None)
-    console.print(table)
-    best, lowest = tuning.best.point, min(point.a_min for point in tuning.outcomes)
-    if best.a_min == lowest < 1.0:
-        console.print(f"the best is at the smallest a_min tried, {lowest:g}; --a-min takes smaller ones")
 
 
 @app.command()
@@ -564,28 +425,10 @@ def paper(
     if fmus is None:
         fmus = output / "fmus"
         export_units(default_design(), output=fmus)
-    with _staged_progress() as report:
+    with staged_progress() as report:
         claims = make(Study(output, fmus, size, workers), report)
-    _print_claims(claims)
+    print_claims(claims)
     console.print(f"wrote {output / 'report.html'} and the tables, figures and scenarios beside it")
-
-
-def _print_claims(claims: list[Claim]) -> None:
-    from rich.table import Table
-
-    from .paper.tables import claims_table
-
-    shown = claims_table([claim for claim in claims if claim.main])
-    table = Table(title="the paper's main claims", title_justify="left")
-    for column in shown.columns:
-        table.add_column(_escaped(column.heading))
-    colours = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
-    for row in shown.shown():
-        *cells, verdict = (_escaped(cell) for cell in row)
-        table.add_row(*cells, f"[{colours[verdict]}]{verdict}[/]")
-    console.print(table)
-    counts = {verdict: sum(claim.verdict == verdict for claim in claims) for verdict in colours}
-    console.print("all claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
 
 
 DEMO = {"swing_up": 3, "tilt": 5, "tilt_kalman": 3, "tilt_ideal": 0}

@@ -287,6 +287,7 @@ class Judge:
         text = "growth of the IHC's LMSE as a share of the LC's"
         low, high = (1 - RELATIVE) * said, (1 + RELATIVE) * said
         found.append(Claim(section, text, said, ours, "1", low, high, runs=runs, main=True))
+        found.append(self._linearity(section))
         for gain in GAINS[1:]:
             ours = margin(self.value("IHC", "steady_rms", gain), self.value("LC", "steady_rms", gain))
             share = self.share("IHC", "LC", "steady_rms", gain)
@@ -294,6 +295,16 @@ class Judge:
             text = f"Figure 6: steady |q| of IHC below LC at G = {gain:g}"
             found.append(Claim(section, text, math.nan, ours, "%", share=share, runs=runs, main=gain == GAINS[-1]))
         return found
+
+    def _linearity(self, section: str) -> Claim:
+        """Return how the LC's growth depends on G: in a linear loop it goes with the square of G."""
+        first, middle, last = GAINS[1:]
+        said = _ratio(*(printed.LMSE[gain]["LC"] for gain in (middle, first, last, first)))
+        ours = _ratio(*(self.value("LC", "integral_q2", gain) for gain in (middle, first, last, first)))
+        linear = (middle**2 - first**2) / (last**2 - first**2)
+        text = f"growth of LC to G = {middle:g} as a share of that to {last:g} (a linear loop: {linear:.2f})"
+        runs = tuple(self.key("LC", gain) for gain in (first, middle, last))
+        return Claim(section, text, said, ours, "1", (1 - RELATIVE) * said, (1 + RELATIVE) * said, runs=runs)
 
 
 def _ratio(a_last: float, a_first: float, b_last: float, b_first: float) -> float:
