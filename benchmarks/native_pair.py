@@ -30,7 +30,7 @@ from time import perf_counter
 
 from benchmarks.controller_step import ControllerStep
 from benchmarks.monolithic import Monolithic
-from benchmarks.run_costs import WholeRun, short_runs
+from benchmarks.run_costs import WholeRun, campaign, seconds, short_runs
 from benchmarks.tools import MONOLITHIC, NATIVE, STEP, TOOLS, NotInstalledError, Pair, Tool, export_pair, reference
 
 CHECK_STEPS = 5_000
@@ -43,7 +43,7 @@ co-simulation itself costs. The distance is that of the final angles to qube-ihc
 same order, for simulate_ssp to those of a loop over FMU2Slave with the same first inputs. The final modes are equal, except
 that libcosim and Ecos read no enumerations. Ecos is given one thread, with which it is faster here."""
 
-PARTS = ("steps", "runs", "controller", "process")
+PARTS = ("steps", "runs", "controller", "campaign", "process")
 
 
 def main() -> int:
@@ -59,6 +59,8 @@ def main() -> int:
             print_short_runs(pair, arguments.runs)
         if "controller" in arguments.only:
             print_controller(pair, arguments.steps, arguments.rounds)
+        if "campaign" in arguments.only:
+            print_campaign(pair, arguments.processes)
         if "process" in arguments.only:
             print_process(WholeRun(pair, folder), arguments.processes)
         print("\n" + machine())
@@ -242,6 +244,23 @@ def print_controller(pair: Pair, steps: int, rounds: int) -> None:
 
 
 # ---- 4. The whole process --------------------------------------------------------------------------------------------
+
+
+def print_campaign(pair: Pair, rounds: int) -> None:
+    """Print what threads gain in many runs."""
+    runs = 50
+    found = in_turns(
+        {name: lambda c=call: seconds(c) for name, call in campaign(pair, runs).items()}, rounds, "campaign"
+    )
+    base = statistics.median(next(iter(found.values())))
+    print(
+        f"\n{runs} runs of the scenario paper, 10 s at 1 ms with metrics, medians of {rounds}; {os.cpu_count()} cores"
+    )
+    rows = [
+        [name, f"{1e3 * statistics.median(v) / runs:.3g}", f"{base / statistics.median(v):.2f}"]
+        for name, v in found.items()
+    ]
+    print_table(["runs in", "ms per run", "times faster"], rows)
 
 
 def print_process(run: WholeRun, count: int) -> None:

@@ -13,6 +13,7 @@ from fmpy import simulate_fmu
 from fmpy.ssp.simulation import simulate_ssp
 
 from benchmarks.tools import STEP, Pair
+from cosim.campaign import Job, run_all
 from cosim.master import simulate
 from cosim.metrics import evaluate
 from cosim.scenario import Scenario, load_scenario, run_scenario
@@ -32,6 +33,17 @@ def short_runs(pair: Pair) -> dict[str, Callable[[], object]]:
         "FMPy, simulate_fmu, the plant alone": lambda: simulate_fmu(
             str(pair.plant), stop_time=SHORT_STEPS * STEP, output_interval=STEP, fmi_type="CoSimulation"
         ),
+    }
+
+
+def campaign(pair: Pair, runs: int) -> dict[str, Callable[[], object]]:
+    """Return `runs` runs of the scenario `paper` at 1 ms with their metrics: in one thread, and in one per core."""
+    scenario, folder = load_scenario("paper")
+    jobs = [Job(seed, scenario.changed({"run.step": 1e-3, "run.seed": seed}), folder) for seed in range(runs)]
+    fmus = pair.plant.parent
+    return {
+        "one thread": lambda: run_all(jobs, fmus, evaluate, 1),
+        "one thread per core": lambda: run_all(jobs, fmus, evaluate),
     }
 
 
@@ -61,14 +73,14 @@ class WholeRun:
         scenario = load_scenario("swing_up")[0].changed({"run.step": STEP, "run.duration": 10.0})
         loading, _ = self._run(scenario.changed({"run.duration": STEP}))
         whole, result = self._run(scenario)
-        saving = _seconds(lambda: result.save(self.folder / "parts.csv"))
+        saving = seconds(lambda: result.save(self.folder / "parts.csv"))
         return {
             "interpreter": interpreter,
             "imports": imports,
             "loading, and a run of one step": loading,
             f"stepping, {result.time[-1]:g} s in {len(result.time) - 1} steps": whole - loading,
             "writing CSV and JSON": saving,
-            "metrics": _seconds(lambda: evaluate(result)),
+            "metrics": seconds(lambda: evaluate(result)),
         }
 
     def _run(self, scenario: Scenario):
@@ -83,10 +95,11 @@ class WholeRun:
 
 
 def _process(arguments: list[str]) -> float:
-    return _seconds(lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True))
+    return seconds(lambda: subprocess.run([sys.executable, *arguments], check=True, capture_output=True))
 
 
-def _seconds(call: Callable[[], object]) -> float:
+def seconds(call: Callable[[], object]) -> float:
+    """Return the seconds that a call takes."""
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
