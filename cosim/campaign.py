@@ -9,9 +9,9 @@ import os
 import threading
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import IO, Any, Generic, Self, TypeVar
 
 from .errors import SimulationError, UserError
 from .fmu import describe
@@ -50,8 +50,12 @@ def run_all(
     Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run.
     `done` and `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed`
     turns the failure of an FMU into a value; on that, and on Ctrl-C, jobs that have not begun are dropped and running
-    ones stopped at their next look.
+    ones stopped at their next look. Raises ValueError where two jobs have the same key.
     """
+    if len({job.key for job in jobs}) < len(jobs):
+        raise ValueError("two jobs of a campaign have the same key")
+    fmus = fmus.absolute()  # FMPy changes the folder of the whole process while it loads a library
+    jobs = [replace(job, folder=None if job.folder is None else job.folder.absolute()) for job in jobs]
     stop = threading.Event()
 
     def look(_done: int = 0, _total: int = 0) -> None:
@@ -69,8 +73,8 @@ def run_all(
 
     found: dict[K, T] = {}
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        futures: dict[Future[T], Job[K]] = {pool.submit(run, job): job for job in jobs}
         try:
+            futures: dict[Future[T], Job[K]] = {pool.submit(run, job): job for job in jobs}
             for future in as_completed(futures):
                 job = futures[future]
                 found[job.key] = future.result()
@@ -88,40 +92,48 @@ def run_all(
 class Journal:
     """Finished runs' numbers in a file of JSON lines, each under a digest of all that decides them.
 
-    A line is written whole when its run is finished; a last line cut short by a power failure is dropped. Numbers of runs
-    whose scenario, start values or FMUs have changed since are not found again.
+    A line is written when its run is finished; a last line that was cut short is dropped. Numbers of runs whose scenario,
+    design or FMUs have changed since are not found again. The file is made with the first line.
     """
 
     def __init__(self, path: Path, purpose: str) -> None:
-        """Open or begin the journal `path`; raise UserError where the file is something else.
+        """Read the journal `path` where it exists; raise UserError where the file is something else.
 
         `purpose` names how results became numbers; numbers of another purpose are not found.
         """
         self.path, self.purpose = path, purpose
         self.known: dict[str, dict[str, float]] = {}
+        self._file: IO[bytes] | None = None
         try:
-            text = path.read_text(encoding="utf-8")
+            lines = path.read_bytes().splitlines(keepends=True)
         except FileNotFoundError:
-            text = ""
-        lines = text.splitlines(keepends=True)
-        if lines and not lines[-1].endswith("\n"):
-            lines.pop()
-        if lines and lines[0].strip() != JOURNAL_FORMAT:
+            lines = []
+        head = lines[0].rstrip(b"\r\n") if lines else b""
+        begun = lines in ([], [head]) and JOURNAL_FORMAT.encode().startswith(head)
+        if head != JOURNAL_FORMAT.encode() and not begun:
             raise UserError(f"{path} is not a journal of the format {JOURNAL_FORMAT!r}; delete or rename it")
-        for line in lines[1:]:
+        if lines and not lines[-1].endswith(b"\n"):
+            lines.pop()
+        for number, line in enumerate(lines[1:], start=2):
+            self.known.update([self._read(line, number)])
+        self._whole = sum(map(len, lines))
+
+    def _read(self, line: bytes, number: int) -> tuple[str, dict[str, float]]:
+        try:
             digest, numbers = json.loads(line)
-            self.known[digest] = {name: math.nan if value is None else value for name, value in numbers.items()}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        self._file = path.open("a", encoding="utf-8")
-        self._file.truncate(len("".join(lines).encode()))
-        if not lines:
-            self._file.write(JOURNAL_FORMAT + "\n")
+            return str(digest), {str(n): math.nan if v is None else _as_float(v) for n, v in numbers.items()}
+        except (ValueError, TypeError, AttributeError):
+            raise UserError(
+                f"{self.path}: line {number} is not [digest, numbers]; delete the line or the file"
+            ) from None
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
     def digest(self, job: Job[Any], fmus: Path) -> str:
         """Return what the job's numbers are kept under: a hash of purpose, versions, scenario, FMUs and design."""
@@ -131,15 +143,34 @@ class Journal:
         for fmu in (plant, controller):
             about.update(str(describe(fmu)[1].guid).encode())
         if design is not None:
-            about.update(design.read_bytes())
+            try:
+                about.update(design.read_bytes())
+            except FileNotFoundError:
+                raise UserError(f"design file {design} does not exist") from None
         return about.hexdigest()[:32]
 
     def keep(self, digest: str, numbers: Numbers) -> None:
         """Append the numbers of a finished run."""
         self.known[digest] = dict(numbers)
         safe = {name: None if math.isnan(value) else value for name, value in numbers.items()}
-        self._file.write(json.dumps([digest, safe]) + "\n")
-        self._file.flush()
+        file = self._opened()
+        file.write(json.dumps([digest, safe]).encode() + b"\n")
+        file.flush()
+
+    def _opened(self) -> IO[bytes]:
+        if self._file is None:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("ab")
+            self._file.truncate(self._whole)
+            if not self._whole:
+                self._file.write(JOURNAL_FORMAT.encode() + b"\n")
+        return self._file
+
+
+def _as_float(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return float(value)
 
 
 def run_numbers(

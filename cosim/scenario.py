@@ -169,7 +169,12 @@ class Scenario(_Section):
         return _validated(data, self.name)
 
     def to_toml(self) -> str:
-        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name."""
+        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name.
+
+        Raises UserError for a plant without a named parameter set, which TOML cannot say.
+        """
+        if self.plant.parameters is None:
+            raise UserError("a scenario without plant.parameters cannot be written as TOML, which has no null")
         import tomli_w  # noqa: PLC0415
 
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))

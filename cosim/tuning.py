@@ -8,6 +8,7 @@ in the measurement chain of a scenario, on the same draws of encoder offsets and
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from fmu_export.variables import Value
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.start_values import design_values
 
@@ -24,7 +26,7 @@ from .errors import UserError
 from .metrics import evaluate, kept_upright
 from .plots import save_figure
 from .results import Result, write_beside
-from .scenario import Scenario
+from .scenario import Scenario, files
 
 MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_variation")
 """Metrics to tune by: smaller is better."""
@@ -79,12 +81,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Tuning:
-    """All outcomes, where the paper's rule stopped for each (mu, u_max), and the best of these."""
+    """All outcomes, where the rule stopped for each (mu, u_max), the LC's outcome, the design of each (mu, u_max)."""
 
     measure: str
     outcomes: Mapping[Point, Outcome]
     stops: tuple[Point, ...]
     linear: Outcome
+    designs: Mapping[tuple[float, float], Design]
 
     @property
     def best(self) -> Outcome:
@@ -112,18 +115,35 @@ class Problem:
             raise UserError(f"the measure must be one of {', '.join(MEASURES)}, found {self.measure!r}")
         if not self.most_chattering > 0.0:
             raise UserError(f"the limit of chattering must be positive, found {self.most_chattering}")
+        if self.draws < 1:
+            raise UserError(f"tuning needs at least one draw, found {self.draws}")
+        if self.design.psi or self.design.d_max:
+            raise UserError(
+                "tuning rescales P, which a design with the terms of Remark 3, psi and d_max, does not allow"
+            )
+        fixed = sorted(_design_start(self.design).keys() & self.scenario.controller.start.keys())
+        if fixed:
+            raise UserError(f"tuning decides controller.start.{fixed[0]} by its design; give the design with --design")
 
-    def designed(self, point: Point) -> Design:
-        """Return the design with the point's mu and scale of P, for the same A, b, k_lin and alpha."""
+    def designs(self, grid: Grid) -> dict[tuple[float, float], Design]:
+        """Return the design of each (mu, u_max), for the same A, b, k_lin and alpha."""
         d = self.design
-        options = Options(mu=point.mu, alpha=d.alpha, u_max=1.0)
-        return inverse_design(d.A, d.b, d.k_lin, options).scaled_to(u_max=point.u_max)
+        found = {}
+        for mu in grid.mu:
+            solved = inverse_design(d.A, d.b, d.k_lin, Options(mu=mu, alpha=d.alpha, u_max=1.0))
+            found |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
+        return found
 
     def at(self, point: Point, design: Design) -> Scenario:
         """Return the scenario with the IHC of a point."""
-        values = {"law": "IHC", **design_values(design), "a_min": point.a_min, "b_max": point.b_max}
+        values = {"law": "IHC", **_design_start(design), "a_min": point.a_min, "b_max": point.b_max}
         changes = {f"controller.start.{name}": value for name, value in values.items()}
         return self.scenario.changed({**changes, "controller.design": None, "record.every": 1})
+
+
+def _design_start(design: Design) -> dict[str, Value]:
+    """Return the start values by which a design makes an IHC."""
+    return {name: value for name, value in design_values(design).items() if not name.startswith("smc_")}
 
 
 def tune(
@@ -139,7 +159,7 @@ def tune(
     """
     say = progress or (lambda _what, _done, _total: None)
     families = [(mu, u_max) for mu in grid.mu for u_max in grid.u_max]
-    designs = {family: problem.designed(Point(*family, 1.0, 1.0)) for family in families}
+    designs = problem.designs(grid)
     outcomes: dict[Point, Outcome] = {}
 
     def run(what: str, points: Iterable[Point]) -> None:
@@ -159,16 +179,18 @@ def tune(
     run("lowering a_min", (Point(*family, a_min, 1.0) for family in families for a_min in down))
     linear = outcomes[Point(*families[0], 1.0, 1.0)]
     if not math.isfinite(linear.measure):
-        raise UserError(
-            f"in this scenario the LC keeps the pendulum upright in {linear.kept} of {linear.draws} draws; "
-            f"there is nothing to improve by {problem.measure}"
+        why = (
+            f"keeps the pendulum upright in {linear.kept} of {linear.draws} draws"
+            if linear.kept < linear.draws
+            else f"has no {problem.measure} in half of the draws"
         )
+        raise UserError(f"tuning starts from the LC, which in this scenario {why}")
     most = problem.most_chattering * linear.chattering
     lowest = [_walk([outcomes[Point(*family, a_min, 1.0)] for a_min in down], most).point for family in families]
     up = sorted(grid.b_max)
     run("raising b_max", (point._replace(b_max=b_max) for point in lowest for b_max in up))
     stops = tuple(_walk([outcomes[p._replace(b_max=b_max)] for b_max in up], most).point for p in lowest)
-    return Tuning(problem.measure, outcomes, stops, linear)
+    return Tuning(problem.measure, outcomes, stops, linear, designs)
 
 
 def numbers(result: Result) -> dict[str, float]:
@@ -197,19 +219,28 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
 
 
 def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
-    """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them."""
+    """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
+
+    The scenario names FMUs that lie beside the tuned one by their path from `folder`.
+    """
     lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},{CHATTERING},kept,draws,stop"]
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
         row = (*point, o.measure, o.chattering, o.kept, o.draws, int(point in tuning.stops))
         lines.append(",".join(map(repr, row)))
     write_beside(folder / "tuning.csv", "\n".join(lines) + "\n")
     best = tuning.best.point
-    design = problem.designed(best)
+    design = tuning.designs[best.mu, best.u_max]
     design.save(folder / "best.json")
-    values = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
-    changes = {f"controller.start.{name}": value for name, value in values.items()}
-    scenario = problem.scenario.changed({**changes, "controller.design": "best.json"})
-    write_beside(folder / "best.toml", scenario.to_toml())
+    plant, controller, _ = files(problem.scenario, problem.fmus, problem.folder)
+    moved = {
+        f"{unit}.fmu": os.path.relpath(path, folder)
+        for unit, path in (("plant", plant), ("controller", controller))
+        if path.parent.absolute() != problem.fmus.absolute()
+    }
+    own = {"controller.design": "best.json", "record.every": 1}
+    start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
+    start = {f"controller.start.{name}": value for name, value in start.items()}
+    write_beside(folder / "best.toml", problem.scenario.changed({**own, **start, **moved}).to_toml())
     title = (
         f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
         "square: where the rule stops; triangle: there with b_max raised"

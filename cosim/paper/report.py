@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import os
+import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,13 +21,15 @@ from plant_fmu.linearization import linearize
 from plant_fmu.parameters import parameter_set
 
 from ..campaign import Job, Journal, run_all
+from ..errors import UserError
+from ..fmu import describe
 from ..results import Result, versions, write_beside
 from ..scenario import load_scenario
 from . import figures, printed, tables
 from .claims import Claim, Judge, Theory
 from .gains import K_LIN, A, B, gain_readings, norm_readings
 from .readings import readings
-from .study import COMPARED, GAINS, PURPOSE, REFERENCE, Key, Study, numbers
+from .study import COMPARED, GAINS, PURPOSE, REFERENCE, Key, Study, numbers, scenario_name
 
 HERE = Path(__file__).parent
 
@@ -63,12 +67,15 @@ def make(study: Study, report: Report | None = None) -> list[Claim]:
     The journal `runs.jsonl` grows with each finished run, so that a repetition continues where this one was stopped.
     """
     say = report or (lambda _what, _done, _total: None)
+    for fmu in (study.base.plant.fmu, study.base.controller.fmu):
+        describe(study.fmus / fmu)  # says what is missing before anything is written
     study.prepare()
     found: dict[Key, dict[str, float]] = {}
     with Journal(study.folder / "runs.jsonl", PURPOSE) as journal:
         for experiment, keys in study.keys().items():
             name = EXPERIMENT_NAMES[experiment]
             found |= study.run(keys, journal, lambda done, total, name=name: say(name, done, total))
+            _check(found)
     say("tables, figures, report", 0, 4)
     shown = [Key("reference", *REFERENCE, gain, variant, 0) for gain in GAINS for variant in study.variants]
     pictures = {(key.gain, key.variant): result for key, result in study.pictures(shown).items()}
@@ -91,15 +98,24 @@ def make(study: Study, report: Report | None = None) -> list[Claim]:
     return claims
 
 
+def _check(found: Mapping[Key, Mapping[str, float]]) -> None:
+    """Raise UserError where a reference run failed: without it there is nothing to compare."""
+    for key, numbers_of in found.items():
+        if key.experiment == "reference" and not numbers_of:
+            raise UserError(f"the reference run {scenario_name(key)} failed in an FMU; `qube-ihc run paper` says why")
+
+
 def _theory(study: Study) -> tuple[Theory, dict[str, dict[str, float]]]:
     """Return what needs no draws: readings of k and P with a run of each, and the claims about model and design."""
     gains = gain_readings()
     norms = norm_readings(study.designs["paper.json"].P)
-    tilt = load_scenario("tilt")[0].changed({"run.duration": 10.0, "controller.start.swing_up_enabled": False})
+    tilt = load_scenario("tilt")[0].changed(
+        {"run.duration": 10.0, "controller.design": "paper.json", "controller.start.swing_up_enabled": False}
+    )
     jobs: list[Job[str]] = []
     for reading in (*gains, *norms):
         changes = {f"controller.start.{name}": value for name, value in reading.start.items()}
-        jobs.append(Job(reading.name, tilt.changed(changes)))
+        jobs.append(Job(reading.name, tilt.changed(changes), study.scenarios))
     runs = run_all(jobs, study.fmus, numbers, study.workers)
     linear = study.job(Key("reference", *REFERENCE, 0, "LC", 0))
     ihc = study.job(Key("reference", *REFERENCE, 0, "IHC", 0), **{"controller.start.a_min": 1.0})
@@ -230,7 +246,7 @@ def _page(
         runs=runs,
         versions=versions(),
         design=json.dumps({"P": np.round(about.P, 6).tolist(), "k": np.round(about.k, 6).tolist()}),
-        folder=study.folder,
+        fmus=shlex.quote(os.path.relpath(study.fmus, study.folder)),
         style=Markup((HERE / "animation.css").read_text(encoding="utf-8")),
         script=Markup((HERE / "animation.js").read_text(encoding="utf-8")),
         animation=Markup(animation_data({law: pictures[0, law] for law in ("LC", "IHC")})),

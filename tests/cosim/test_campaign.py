@@ -7,15 +7,17 @@ import signal
 import struct
 import threading
 import time
+from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim import campaign
 from cosim.campaign import JOURNAL_FORMAT, Job, Journal, run_all, run_numbers
 from cosim.errors import SimulationError, UserError
 from cosim.export import Kind, export_units
+from cosim.fmu import Instance
 from cosim.metrics import evaluate
 from cosim.results import Result
 from cosim.scenario import load_scenario, run_scenario
@@ -90,11 +92,11 @@ def test_runs_in_threads_equal_single_runs(fmus, job, same, workers):
 
 def test_the_order_is_that_of_the_jobs_not_of_their_ends(fmus, job):
     ended = []
-    jobs = [job("long", run__duration=400.0, record__every=1000), *(job(f"short {k}") for k in (3, 1, 2))]
+    jobs = [job("long", run__duration=200.0, record__every=1000), *(job(f"short {k}") for k in (3, 1, 2))]
     found = run_all(jobs, fmus, identity, 2, done=lambda one, _: ended.append(one.key))
     assert ended[-1] == "long"
     assert list(found) == ["long", "short 3", "short 1", "short 2"]
-    assert found["long"].time[-1] == pytest.approx(400.0)
+    assert found["long"].time[-1] == pytest.approx(200.0)
 
 
 def test_progress_counts_and_what_is_done_comes_with_its_job_in_the_calling_thread(fmus, job):
@@ -136,6 +138,35 @@ def test_python_fmus_run_in_threads_as_alone_and_as_native_ones(python_fmus, fmu
     assert {found[1].metadata["engine"], native[1].metadata["engine"]} == {"fmpy", "native"}
 
 
+def test_relative_paths_are_found_while_another_thread_loads_a_library(elsewhere, job, monkeypatch):
+    """As it happens now and then by itself, but always: the second run looks for its FMUs while the first loads one."""
+    loading, looked, load = threading.Event(), threading.Event(), Instance._loaded
+
+    def load_slowly(self):
+        if not loading.is_set():
+            where = Path.cwd()
+            os.chdir("/")
+            loading.set()
+            looked.wait(0.5)
+            os.chdir(where)
+        return load(self)
+
+    def run(scenario, *rest):
+        if scenario.run.seed == 2:
+            assert loading.wait(10.0)
+        try:
+            return run_scenario(scenario, *rest)
+        finally:
+            if scenario.run.seed == 2:
+                looked.set()
+
+    monkeypatch.chdir(elsewhere)
+    monkeypatch.setattr(Instance, "_loaded", load_slowly)
+    monkeypatch.setattr(campaign, "run_scenario", run)
+    found = run_all([job(seed, run__seed=seed) for seed in (1, 2)], Path("fmus"), lambda _: "fine", 2)
+    assert found == {1: "fine", 2: "fine"}
+
+
 # Failures
 
 
@@ -170,7 +201,7 @@ def test_the_failure_of_a_python_fmu_becomes_a_value_too(python_fmus, job):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"controller.start.lwa": 1.0}, {"plant.fmu": "No.fmu"}, {"controller.design": "No.json"}]
+    "changes", [{"controller.start.lwa": 1.0}, {"plant.fmu": "No.fmu"}, {"controller.design": "No.json"}], ids=str
 )
 def test_a_mistake_of_the_user_is_no_failure_of_an_fmu(fmus, job, changes):
     with pytest.raises(UserError, match=r"lwa|No\."):
@@ -235,7 +266,7 @@ def test_ctrl_c_while_all_threads_are_at_work_stops_them(fmus, job, begun):
     took = time.monotonic() - sent[0]
     sender.join()
     assert took < SOON
-    assert begun == [0, 1]
+    assert sorted(begun) == [0, 1]
 
 
 class CutShort(list):
@@ -248,14 +279,10 @@ class CutShort(list):
             yield item
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="run_all submits jobs before its try: on Ctrl-C meanwhile all that are submitted run to their end",
-)
 def test_ctrl_c_while_the_jobs_are_handed_out_stops_those_already_at_work(fmus, job):
     ended = []
     with pytest.raises(KeyboardInterrupt):
-        run_all(CutShort(job(k, run__duration=300.0, record__every=1000) for k in range(5)), fmus, ended.append, 2)
+        run_all(CutShort(job(k, run__duration=100.0, record__every=1000) for k in range(5)), fmus, ended.append, 2)
     assert ended == []
 
 
@@ -275,6 +302,7 @@ digests = st.text("0123456789abcdef", min_size=32, max_size=32)
 kept_numbers = st.dictionaries(st.text(), st.floats(allow_nan=True, allow_infinity=True))
 
 
+@settings(max_examples=50)
 @given(kept=st.dictionaries(digests, kept_numbers, max_size=8))
 def test_numbers_come_back_to_the_last_bit(tmp_path_factory, kept):
     path = tmp_path_factory.getbasetemp() / "numbers" / "journal.jsonl"
@@ -283,11 +311,11 @@ def test_numbers_come_back_to_the_last_bit(tmp_path_factory, kept):
         for digest, numbers in kept.items():
             journal.keep(digest, numbers)
         written = {digest: bits(numbers) for digest, numbers in journal.known.items()}
-    size = path.stat().st_size
+    content = path.read_bytes() if kept else b""
     with Journal(path, "test") as journal:
         read = {digest: bits(numbers) for digest, numbers in journal.known.items()}
     assert read == written == {digest: bits(numbers) for digest, numbers in kept.items()}
-    assert path.stat().st_size == size
+    assert (path.read_bytes() if kept else b"") == content
 
 
 def test_a_number_kept_again_replaces_the_first(tmp_path):
@@ -298,12 +326,14 @@ def test_a_number_kept_again_replaces_the_first(tmp_path):
         assert journal.known == {"a": {"x": 2.0}}
 
 
-def test_a_journal_begins_in_a_folder_that_does_not_exist_yet_or_in_an_empty_file(tmp_path):
+def test_a_journal_begins_with_its_first_line_in_a_folder_that_does_not_exist_yet_or_in_an_empty_file(tmp_path):
     (tmp_path / "empty").touch()
     for path in (tmp_path / "new folder" / "deep" / "journal", tmp_path / "empty"):
         with Journal(path, "test") as journal:
             assert journal.known == {}
-        assert path.read_text(encoding="utf-8") == JOURNAL_FORMAT + "\n"
+            assert not path.exists() or path.read_bytes() == b""
+            journal.keep("a", {})
+        assert path.read_text(encoding="utf-8") == JOURNAL_FORMAT + '\n["a", {}]\n'
 
 
 def test_what_is_kept_is_in_the_file_at_once(tmp_path):
@@ -334,12 +364,6 @@ def test_a_file_cut_at_any_byte_loses_only_its_last_line_and_goes_on(tmp_path, n
         assert read == {digest: bits(numbers) for digest, numbers in {**expected, "d": {"z": 1.0}}.items()}, cut
 
 
-wiped = pytest.mark.xfail(
-    strict=True, reason="Journal drops an unfinished line before it looks at the format: a file of one line is emptied"
-)
-undecoded = pytest.mark.xfail(strict=True, reason="Journal raises UnicodeDecodeError for bytes that are not text")
-
-
 @pytest.mark.parametrize(
     "content",
     [
@@ -349,10 +373,9 @@ undecoded = pytest.mark.xfail(strict=True, reason="Journal raises UnicodeDecodeE
         b"\n" + JOURNAL_FORMAT.encode() + b"\n",
         JOURNAL_FORMAT.encode() + b"0\n",
         b"first line\nsecond line without an end",
-        pytest.param(b"one line without an end", marks=wiped),
-        pytest.param(b'{"format": "qube-ihc design 1"}', marks=wiped),
-        pytest.param(b"PK\x03\x04\xff\xfe\n", marks=undecoded),
-        pytest.param(JOURNAL_FORMAT.encode() + b'\n["a", {"x": 1.0}]\n\xff\n', marks=undecoded),
+        b"one line without an end",
+        b'{"format": "qube-ihc design 1"}',
+        b"PK\x03\x04\xff\xfe\n",
     ],
     ids=lambda content: repr(content)[:40],
 )
@@ -369,26 +392,24 @@ def test_another_file_is_refused_and_left_as_it_is(tmp_path, content):
 @pytest.mark.parametrize(
     "line",
     [
-        "garbage",
-        "",
-        "5",
-        "null",
-        "\0\0\0\0",
-        "[1, 2]",
-        '["c"]',
-        '["c", 5]',
-        '["c", [1.0]]',
-        '{"c": 1}',
-        '["c", {"x": "1"}]',
+        b"garbage",
+        b"",
+        b"5",
+        b"null",
+        b"\0\0\0\0",
+        b"\xff",
+        b"[1, 2]",
+        b'["c"]',
+        b'["c", 5]',
+        b'["c", [1.0]]',
+        b'{"c": 1}',
+        b'["c", {"x": "1"}]',
     ],
     ids=repr,
 )
-@pytest.mark.xfail(
-    strict=True, reason="Journal trusts whole lines: TypeError, AttributeError, JSONDecodeError, or silence"
-)
 def test_garbage_in_a_line_is_one_sentence_that_names_file_and_line(tmp_path, line):
     path = tmp_path / "journal"
-    content = f'{JOURNAL_FORMAT}\n["a", {{"x": 1.0}}]\n{line}\n["b", {{"x": 1.0}}]\n'.encode()
+    content = b'%b\n["a", {"x": 1.0}]\n%b\n["b", {"x": 1.0}]\n' % (JOURNAL_FORMAT.encode(), line)
     path.write_bytes(content)
     with pytest.raises(UserError, match=r"journal.*line 3") as refusal:
         Journal(path, "test")
@@ -396,10 +417,6 @@ def test_garbage_in_a_line_is_one_sentence_that_names_file_and_line(tmp_path, li
     assert path.read_bytes() == content
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="Journal counts translated line ends when it truncates: each CRLF costs a byte of the tail, on Windows always",
-)
 def test_line_ends_of_windows_cost_no_number(tmp_path):
     path = tmp_path / "journal"
     kept = {c: {"x": 1.0} for c in "abc"}
@@ -481,7 +498,6 @@ def test_an_fmu_that_does_not_exist_is_named(digest, job, tmp_path):
         digest(job(0), tmp_path / "nowhere")
 
 
-@pytest.mark.xfail(strict=True, reason="Journal.digest reads the design before anything has looked whether it exists")
 def test_a_design_that_does_not_exist_is_named_as_by_a_run(digest, job, tmp_path):
     with pytest.raises(UserError, match=r"design file .*No\.json does not exist"):
         digest(Job(0, job(0).scenario.changed({"controller.design": "No.json"}), tmp_path))

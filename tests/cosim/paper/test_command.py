@@ -1,0 +1,133 @@
+"""`qube-ihc paper` in a process of its own: refusals, and Ctrl-C, after which the same command goes on."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from cosim.campaign import JOURNAL_FORMAT
+
+
+def started(*args, cwd):
+    """Start the command with plain text in stdout and stderr, in a session of its own, open to Ctrl-C."""
+    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
+    plain.pop("FORCE_COLOR", None)
+    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process inherits that it ignores one
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-m", "cosim", "paper", *args],
+            cwd=cwd,
+            env=plain,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, earlier)
+
+
+def finished(*args, cwd):
+    process = started(*args, cwd=cwd)
+    out, err = process.communicate(timeout=120)
+    return subprocess.CompletedProcess(args, process.returncode, out, err)
+
+
+def files(folder):
+    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+
+
+def test_help_names_every_option(tmp_path):
+    done = finished("--help", cwd=tmp_path)
+    assert done.returncode == 0
+    for option in ("--quick", "--draws", "--workers", "--output", "-o", "--fmus"):
+        assert re.search(rf"(?<![\w-]){option}\b", done.stdout), option
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--draws", "0"), "--draws"),
+        (("--draws", "few"), "--draws"),
+        (("--workers", "0"), "--workers"),
+        (("--fast",), "--fast"),
+        (("quick",), "quick"),
+    ],
+)
+def test_a_wrong_option_ends_with_code_2_and_is_named(tmp_path, arguments, named):
+    done = finished(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert named in done.stderr
+    assert "Traceback" not in done.stderr
+    assert files(tmp_path) == []
+
+
+@pytest.fixture(scope="module")
+def without_fmus(tmp_path_factory):
+    """What the command says where there are no FMUs, and the files that it leaves."""
+    folder = tmp_path_factory.mktemp("without FMUs")
+    return finished("--quick", "--fmus", "nowhere", cwd=folder), files(folder)
+
+
+def test_missing_fmus_are_one_sentence(without_fmus):
+    done, _ = without_fmus
+    assert done.returncode == 2
+    (line,) = done.stderr.strip().splitlines()
+    assert re.fullmatch(r"error: FMU nowhere/\w+\.fmu does not exist; `qube-ihc export` makes the project's FMUs", line)
+
+
+def test_missing_fmus_leave_nothing_behind(without_fmus):
+    assert without_fmus[1] == []
+
+
+def lines_of(path):
+    """Return the finished lines of a journal."""
+    try:
+        return path.read_text(encoding="utf-8").splitlines(keepends=True)
+    except FileNotFoundError:
+        return []
+
+
+def interrupted(journal, more, *args, cwd):
+    """Start the command, interrupt it when the journal has `more` lines more than before; return what it said."""
+    before = len(lines_of(journal))
+    process = started(*args, cwd=cwd)
+    try:
+        end = time.monotonic() + 60.0
+        while len(lines_of(journal)) < before + more:
+            assert process.poll() is None, process.stderr.read() if process.stderr else ""
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    finally:
+        process.kill()
+    return process.returncode, out, err
+
+
+def test_ctrl_c_ends_with_code_130_keeps_what_is_finished_and_the_next_start_goes_on(tmp_path):
+    """Finished runs stay as they were and none is run again, though FMUs are exported anew; nothing is half written."""
+    journal = tmp_path / "out" / "runs.jsonl"
+    expected = ["fmus/IhcController.fmu", "fmus/QubeServo2.fmu", "fmus/QubeWithController.ssp"]
+    expected += ["runs.jsonl", "scenarios/default.json", "scenarios/paper.json"]
+    kept = []
+    for more in (4, 6):
+        code, out, err = interrupted(journal, more, "--quick", "--draws", "3", "-o", "out", cwd=tmp_path)
+        assert code == 130, err
+        assert "Traceback" not in out + err
+        assert "finished runs are kept, and the same command goes on from there" in out + err
+        lines = lines_of(journal)
+        assert lines[0] == JOURNAL_FORMAT + "\n"
+        assert lines[: len(kept)] == kept
+        assert len(lines) >= len(kept) + more
+        assert all(line.endswith("\n") for line in lines)
+        digests = [json.loads(line)[0] for line in lines[1:]]
+        assert len(set(digests)) == len(digests)
+        assert all(json.loads(line)[1]["integral_q2"] > 0.0 for line in lines[1:])
+        assert files(tmp_path / "out") == expected
+        kept = lines
