@@ -118,14 +118,14 @@ def _inset(axis: Any, results: Mapping[str, Result], signal: Any, place: tuple[f
 
 
 def _shares(shares: Sequence[tuple[str, Share]]) -> Figure:
-    figure = Figure(figsize=(9, 0.24 * len(shares) + 1.2), layout="constrained")
+    shares = [(name, share) for name, share in shares if share.draws]
+    figure = Figure(figsize=(9, 0.22 * len(shares) + 1.2), layout="constrained")
     axis = figure.subplots()
     for row, (_, share) in enumerate(shares):
         low, high = share.interval
         colour = {"holds": "#1b7837", "does not hold": "#b2182b", "undecided": "#777777"}[share.verdict]
         axis.plot([100 * low, 100 * high], [-row, -row], color=colour, lw=2)
-        if share.draws:
-            axis.plot(100 * share.value, -row, "o", color=colour, ms=4)
+        axis.plot(100 * share.value, -row, "o", color=colour, ms=4)
     axis.axvline(50.0, color="0.4", lw=0.8)
     axis.set_yticks([-row for row in range(len(shares))], [name for name, _ in shares], fontsize="x-small")
     axis.set(xlim=(0, 100), xlabel="share of draws [%], with its 95 % confidence interval")
