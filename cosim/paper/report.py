@@ -188,7 +188,8 @@ def _sections(
             "In how many draws",
             "“swing-up” are the conditions of the tables, “shipped” the controller's own, faster swing-up, “tilt” the "
             "balance alone from 0.1 rad, “onset” the disturbance from the first moment. The printed damping of the set "
-            "“listed” makes the LC unstable, and with it and “swapped” 10 V do not swing the pendulum up: the picture has no line for them.",
+            "“listed” makes the LC unstable, and with it and “swapped” 10 V do not swing the pendulum up: the picture has "
+            "no line for them.",
             ["shares.png"],
             [tables.shares_table(found)],
             ["shares"],
