@@ -176,16 +176,20 @@ def print_claims(claims: list[Claim]) -> None:
     """Print the paper's main claims and the counts of all verdicts."""
     from rich.table import Table
 
-    from .paper.tables import claims_table
+    def value(number: float, unit: str) -> str:
+        return "" if math.isnan(number) else f"{number:.4g}" + ("" if unit == "1" else f" {unit}")
 
-    shown = claims_table([claim for claim in claims if claim.main])
     table = Table(title="the paper's main claims", title_justify="left")
-    for column in shown.columns:
-        table.add_column(escaped(column.heading))
+    table.add_column("claim")
+    for heading in ("printed", "ours", "draws"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("verdict", no_wrap=True)
     colours = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
-    for row in shown.shown():
-        *cells, verdict = (escaped(cell) for cell in row)
-        table.add_row(*cells, f"[{colours[verdict]}]{verdict}[/]")
+    for claim in (claim for claim in claims if claim.main):
+        draws = "" if claim.share is None else f"{claim.share.wins}/{claim.share.draws}"
+        values = (value(number, claim.unit) for number in (claim.printed, claim.ours))
+        verdict = f"[{colours[claim.verdict]}]{claim.verdict}[/]"
+        table.add_row(escaped(f"{claim.section}: {claim.text}"), *values, draws, verdict)
     console.print(table)
     counts = {verdict: sum(claim.verdict == verdict for claim in claims) for verdict in colours}
     console.print("all claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
