@@ -397,7 +397,7 @@ def _numbers(option: str, text: str) -> tuple[float, ...]:
 @app.command()
 def paper(
     quick: Annotated[
-        bool, typer.Option(help="A smaller study, in less than a minute: 10 draws instead of 200.")
+        bool, typer.Option("--quick", help="A smaller study, in less than a minute: 10 draws instead of 200.")
     ] = False,
     draws: Annotated[
         int | None, typer.Option(min=1, help="Random draws for each controller and condition; none: 200, quick 10.")
