@@ -102,6 +102,7 @@ class Journal:
         `purpose` names how results became numbers; numbers of another purpose are not found.
         """
         self.path, self.purpose = path, purpose
+        self._place = path.absolute()  # FMPy changes the folder of the whole process while it loads a library
         self.known: dict[str, dict[str, float]] = {}
         self._file: IO[bytes] | None = None
         try:
@@ -159,8 +160,8 @@ class Journal:
 
     def _opened(self) -> IO[bytes]:
         if self._file is None:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("ab")
+            self._place.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self._place.open("ab")
             self._file.truncate(self._whole)
             if not self._whole:
                 self._file.write(JOURNAL_FORMAT.encode() + b"\n")

@@ -225,13 +225,13 @@ class Study:
                 "SMC1",
                 "first-order SMC, poles -1.08, -12.6 ± 17i, kappa 19.3, rho 1.17 V: a fit to the printed SMC",
                 "paper.json",
-                **_smc(fitted_smc(A, B)),
+                **smc_start(fitted_smc(A, B)),
             ),
             _variant(
                 "SMC2",
                 "first-order SMC whose linear part is k_lin, rho 1 V",
                 "paper.json",
-                **_smc(linear_pole_smc(A, B, K_LIN)),
+                **smc_start(linear_pole_smc(A, B, K_LIN)),
             ),
             _variant(
                 "IHC 1.5 V", "the paper's numbers with |k x| <= 1.5 V on the unit ball", "default.json", law="IHC"
@@ -372,6 +372,7 @@ def _variant(name: str, about: str, design: str | None = None, **start: Any) -> 
     return Variant(name, about, changes if design is None else {"controller.design": design, **changes})
 
 
-def _smc(smc: SlidingMode) -> dict[str, Any]:
+def smc_start(smc: SlidingMode) -> dict[str, Any]:
+    """Return the start values of the controller with a sliding mode design."""
     gains = {**zip_names(vector("smc_c"), smc.c), **zip_names(vector("smc_k"), smc.k_eq)}
     return {"law": "SMC", "smc_rho": smc.rho, **gains}

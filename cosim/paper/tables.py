@@ -400,7 +400,7 @@ def gains_tables(theory: Theory, runs: Mapping[str, Mapping[str, float]]) -> tup
         *run_columns,
     )
     p_rows = [[n.name, n.monotone, n.decrease, n.solves, *run(n.name)] for n in theory.norms]
-    where = "Runs of the controller FMU on the plant `ident` from a tilt of 0.1 rad at 1 ms, "
+    where = "Runs of the controller FMU on the plant “ident” from a tilt of 0.1 rad at 1 ms, "
     k_note = (
         where
         + "u = K x. The printed k is k_lin Φ⁻¹/100 + row with k_lin = [2, -30, 2, -2.6]: a gain in chain coordinates "

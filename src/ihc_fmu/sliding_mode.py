@@ -25,6 +25,11 @@ class SlidingMode:
     rho: float
 
 
+FITTED_POLES = (-1.08, -12.6 + 17.0j, -12.6 - 17.0j)
+FITTED_KAPPA = 19.3
+FITTED_RHO = 1.17
+
+
 def sliding_mode_design(A: Array, b: Array, poles: Array, kappa: float, rho: float) -> SlidingMode:
     """Return the SMC whose sliding motion has the n - 1 `poles` [1/s] and that reaches s = 0 with rate kappa [1/s].
 
@@ -51,7 +56,7 @@ def fitted_smc(A: Array, b: Array) -> SlidingMode:
     A fit to what the paper prints of its SMC: the margins over the LC in Tables I and II at G = 0, 60 and 200, and the
     energy. Its linear part is near k_lin: [1.65, -26.97, 1.70, -2.65].
     """
-    return sliding_mode_design(A, b, np.array([-1.08, -12.6 + 17.0j, -12.6 - 17.0j]), kappa=19.3, rho=1.17)
+    return sliding_mode_design(A, b, np.array(FITTED_POLES), FITTED_KAPPA, FITTED_RHO)
 
 
 def linear_pole_smc(A: Array, b: Array, k_lin: Array) -> SlidingMode:
