@@ -191,9 +191,11 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     Raises UserError that names the file, the entry, the rule and the value.
     """
     path = Path(name)
-    if not path.suffix and not path.exists():
-        path = BUILT_IN / f"{name}.toml"
-        if not path.exists():
+    if not path.suffix and not path.is_file():  # a folder `paper` does not hide the scenario `paper`
+        built_in = BUILT_IN / f"{name}.toml"
+        if built_in.exists():
+            path = built_in
+        elif not path.exists():
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))

@@ -18,6 +18,7 @@ from ihc_fmu.sliding_mode import FITTED_KAPPA, FITTED_POLES, FITTED_RHO, sliding
 
 from ..campaign import Job, run_all
 from ..errors import UserError
+from ..fmu import describe
 from . import printed
 from .claims import margin
 from .gains import A, B
@@ -120,6 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--folder", type=Path, default=Path("results/paper"), help="a study's folder (%(default)s)")
     given = parser.parse_args(arguments)
     study = Study(given.folder, given.folder / "fmus", QUICK)
+    describe(study.fmus / study.base.controller.fmu)  # says what is missing before anything is written
     study.prepare()
     rng = np.random.default_rng(given.seed)
     if given.what == "swing-up":

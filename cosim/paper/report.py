@@ -24,7 +24,7 @@ from ..campaign import Job, Journal, run_all
 from ..errors import UserError
 from ..fmu import describe
 from ..results import Result, versions, write_beside
-from ..scenario import load_scenario
+from ..scenario import BUILT_IN, load_scenario
 from . import figures, printed, tables
 from .claims import Claim, Judge, Theory
 from .gains import K_LIN, A, B, gain_readings, norm_readings
@@ -109,7 +109,7 @@ def _theory(study: Study) -> tuple[Theory, dict[str, dict[str, float]]]:
     """Return what needs no draws: readings of k and P with a run of each, and the claims about model and design."""
     gains = gain_readings()
     norms = norm_readings(study.designs["paper.json"].P)
-    tilt = load_scenario("tilt")[0].changed(
+    tilt = load_scenario(str(BUILT_IN / "tilt.toml"))[0].changed(
         {"run.duration": 10.0, "controller.design": "paper.json", "controller.start.swing_up_enabled": False}
     )
     jobs: list[Job[str]] = []

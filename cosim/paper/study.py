@@ -26,7 +26,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 from ..campaign import Job, Journal, run_all, run_numbers
 from ..metrics import angle_norm, evaluate, kept_upright, settling_time, wrapped
 from ..results import Result, write_beside
-from ..scenario import Scenario, load_scenario
+from ..scenario import BUILT_IN, Scenario, load_scenario
 from . import printed
 from .gains import K_LIN, TILT, A, B
 
@@ -204,7 +204,7 @@ class Study:
     @cached_property
     def base(self) -> Scenario:
         """The built-in scenario `paper`, recording what the numbers need."""
-        return load_scenario("paper")[0].changed({"record.outputs": SIGNALS})
+        return load_scenario(str(BUILT_IN / "paper.toml"))[0].changed({"record.outputs": SIGNALS})
 
     @cached_property
     def variants(self) -> dict[str, Variant]:

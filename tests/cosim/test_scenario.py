@@ -168,6 +168,12 @@ def test_what_is_no_toml_is_refused_with_the_place(written, tmp_path):
         load_scenario(str(tmp_path / "bytes.toml"))
 
 
+def test_a_folder_does_not_hide_the_built_in_scenario_of_its_name(tmp_path, monkeypatch):
+    (tmp_path / "paper").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert load_scenario("paper")[0].disturbance.start == 1.5
+
+
 def test_a_missing_scenario_is_named_with_those_there_are(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(UserError, match=r"scenario file mine\.toml does not exist"):
