@@ -14,7 +14,8 @@ from ..plots import COLOURS, save_figure
 from ..results import Result
 from . import printed
 from .claims import Found, Share, margin
-from .study import COMPARED, GAINS, Study, sweep_name
+from .study import COMPARED, GAINS, Study
+from .variants import sweep_name
 
 PALETTE = {**COLOURS, "SMC1": COLOURS["SMC"], "SMC2": "#a6611a"}
 ORDER = ("SMC1", "SMC2", "LC", "IHC")

@@ -22,7 +22,8 @@ from ..fmu import describe
 from . import printed
 from .claims import margin
 from .gains import A, B
-from .study import QUICK, REFERENCE, SWING_UP_RANGES, Key, Study, numbers, smc_start
+from .study import QUICK, REFERENCE, SWING_UP_RANGES, Key, Study, numbers
+from .variants import smc_start
 
 STEP = 1e-3
 """Sample time of the runs that are fitted [s]; the result is then checked at the paper's 0.1 ms by the study itself."""

@@ -17,9 +17,7 @@ import numpy as np
 
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.interface import INTERFACE as CONTROLLER
-from ihc_fmu.interface import vector
-from ihc_fmu.sliding_mode import SlidingMode, fitted_smc, linear_pole_smc
-from ihc_fmu.start_values import default_design, zip_names
+from ihc_fmu.start_values import default_design
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
@@ -29,6 +27,7 @@ from ..results import Result, write_beside
 from ..scenario import BUILT_IN, Scenario, load_scenario
 from . import printed
 from .gains import K_LIN, TILT, A, B
+from .variants import PAPER_U_MAX, Variant, controllers, sweep_variants
 
 Changes = Mapping[str, Any]
 Progress = Callable[[int, int], None]
@@ -42,9 +41,6 @@ COMPARED = ("LC", "IHC", "SMC1", "SMC2")
 """The controllers of the paper's tables; it does not say which sliding mode controller it used, so there are two."""
 
 SETS = tuple(PARAMETER_SETS)
-
-PAPER_U_MAX = 10.0
-"""Scale of P for the paper's IHC: |k x| <= 10 V on the unit ball, the voltage limit. The paper leaves it open."""
 
 UNCERTAIN = ("m_p", "L_p", "J_p", "D_p", "L_r", "J_r", "D_r", "R_m", "k_m")
 UNCERTAINTY = 0.1
@@ -83,15 +79,6 @@ class Key(NamedTuple):
     gain: float
     variant: str
     draw: int
-
-
-@dataclass(frozen=True)
-class Variant:
-    """A controller that is compared: its name, what it is, and the entries of the scenario that make it."""
-
-    name: str
-    about: str
-    changes: Changes
 
 
 @dataclass(frozen=True)
@@ -191,10 +178,7 @@ class Study:
 
     @cached_property
     def designs(self) -> dict[str, Design]:
-        """The designs that variants name, by file name: the paper's numbers at 10 V, and the project's default.
-
-        All that are compared in the paper's tables name the first, so that they take over in the same region.
-        """
+        """The designs that variants name, by file name: the paper's numbers at 10 V, and the project's default."""
         paper = Options(mu=printed.MU, alpha=printed.ALPHA, u_max=PAPER_U_MAX)
         return {
             "paper.json": inverse_design(A, B, K_LIN, paper),
@@ -209,60 +193,12 @@ class Study:
     @cached_property
     def variants(self) -> dict[str, Variant]:
         """Every controller by name."""
-        kalman = {"velocity_source": "kalman", "norm_solver": "exact", "discretization": "semi_implicit"}
-        found = (
-            _variant("LC", "the manufacturer's linear controller", "paper.json", law="LC"),
-            _variant(
-                "IHC",
-                f"the paper's numbers; P from eq. (11) with |k x| <= {PAPER_U_MAX:g} V on the unit ball",
-                "paper.json",
-                law="IHC",
-                a_min=printed.A_MIN,
-                b_max=printed.B_MAX,
-                j_max=printed.J_MAX,
-            ),
-            _variant(
-                "SMC1",
-                "first-order SMC, poles -1.08, -12.6 ± 17i, kappa 19.3, rho 1.17 V: a fit to the printed SMC",
-                "paper.json",
-                **smc_start(fitted_smc(A, B)),
-            ),
-            _variant(
-                "SMC2",
-                "first-order SMC whose linear part is k_lin, rho 1 V",
-                "paper.json",
-                **smc_start(linear_pole_smc(A, B, K_LIN)),
-            ),
-            _variant(
-                "IHC 1.5 V", "the paper's numbers with |k x| <= 1.5 V on the unit ball", "default.json", law="IHC"
-            ),
-            _variant("LC, KF", "LC with the Kalman filter", "default.json", law="LC", velocity_source="kalman"),
-            _variant(
-                "IHC, KF",
-                "IHC 1.5 V, a_min 0.5, exact norm, semi-implicit, Kalman filter",
-                "default.json",
-                law="IHC",
-                a_min=0.5,
-                **kalman,
-            ),
-        )
-        return {variant.name: variant for variant in found}
+        return {variant.name: variant for variant in controllers()}
 
     @cached_property
     def sweep(self) -> dict[str, Variant]:
-        """The IHC at each a_min in three measurement chains, to see what lowering it brings and when it chatters."""
-        kalman = {"velocity_source": "kalman", "norm_solver": "exact", "discretization": "semi_implicit"}
-        chains: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
-            ("10 V, filter", "paper.json", {}),
-            ("1.5 V, filter", "default.json", {}),
-            ("1.5 V, Kalman filter", "default.json", kalman),
-        )
-        found = (
-            _variant(sweep_name(chain, a_min), f"IHC {chain}", design, law="IHC", a_min=a_min, b_max=1.0, **start)
-            for chain, design, start in chains
-            for a_min in self.size.a_mins
-        )
-        return {variant.name: variant for variant in found}
+        """The IHC at each a_min in each measurement chain, by name."""
+        return {variant.name: variant for variant in sweep_variants(self.size.a_mins)}
 
     def prepare(self) -> None:
         """Write the design files that scenarios name."""
@@ -348,11 +284,6 @@ EXPERIMENTS: dict[str, Changes] = {
 tilt, the disturbance from the first moment, the tilt again for each a_min, other swing-ups."""
 
 
-def sweep_name(chain: str, a_min: float) -> str:
-    """Return the name of the IHC with `a_min` in a measurement chain."""
-    return f"IHC {chain}, a_min {a_min:g}"
-
-
 def scenario_name(key: Key) -> str:
     """Return a file name for the scenario of a run."""
     gain = f"_G{key.gain:g}" if key.gain else ""
@@ -365,14 +296,3 @@ def _keys(
     experiment: str, parameters: str, step: float, gains: Sequence[float], names: Sequence[str], draws: Sequence[int]
 ) -> list[Key]:
     return [Key(experiment, parameters, step, gain, name, draw) for gain in gains for draw in draws for name in names]
-
-
-def _variant(name: str, about: str, design: str | None = None, **start: Any) -> Variant:
-    changes = {f"controller.start.{entry}": value for entry, value in start.items()}
-    return Variant(name, about, changes if design is None else {"controller.design": design, **changes})
-
-
-def smc_start(smc: SlidingMode) -> dict[str, Any]:
-    """Return the start values of the controller with a sliding mode design."""
-    gains = {**zip_names(vector("smc_c"), smc.c), **zip_names(vector("smc_k"), smc.k_eq)}
-    return {"law": "SMC", "smc_rho": smc.rho, **gains}

@@ -31,10 +31,10 @@ from cosim.paper.study import (
     draw_changes,
     numbers,
     scenario_name,
-    sweep_name,
     swing_up_changes,
     thinned,
 )
+from cosim.paper.variants import sweep_name
 from cosim.scenario import build_system, load_scenario, run_scenario
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from plant_fmu.interface import start_values as plant_start_values

@@ -15,7 +15,7 @@ from cosim.paper.claims import Judge, Share, Theory, compare, margin
 from cosim.paper.figures import sweep_median, swing_up_pairs
 from cosim.paper.gains import gain_readings, norm_readings
 from cosim.paper.readings import Reading
-from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, sweep_name
+from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key
 from cosim.paper.tables import (
     Column,
     Table,
@@ -33,6 +33,7 @@ from cosim.paper.tables import (
     shares_table,
     swing_ups_table,
 )
+from cosim.paper.variants import sweep_name
 
 NAN = math.nan
 
