@@ -8,7 +8,7 @@ BIN    := $(VENV)/bin
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
 
-paper: $(VENV)/installed   ## the paper's experiments, repeated and judged; half an hour, can be interrupted and continued
+paper: $(VENV)/installed   ## the paper's experiments, repeated and judged; more than half an hour, can be interrupted and continued
 	$(BIN)/qube-ihc paper
 
 test: $(VENV)/installed lint   ## lint, type check and all tests
