@@ -243,7 +243,7 @@ def print_controller(pair: Pair, steps: int, rounds: int) -> None:
     print_table(["what", "ns", "min..max", "/ LC"], lines)
 
 
-# ---- 4. The whole process --------------------------------------------------------------------------------------------
+# ---- 4. Many runs ----------------------------------------------------------------------------------------------------
 
 
 def print_campaign(pair: Pair, rounds: int) -> None:
@@ -261,6 +261,9 @@ def print_campaign(pair: Pair, rounds: int) -> None:
         for name, v in found.items()
     ]
     print_table(["runs in", "ms per run", "times faster"], rows)
+
+
+# ---- 5. The whole process --------------------------------------------------------------------------------------------
 
 
 def print_process(run: WholeRun, count: int) -> None:

@@ -174,6 +174,12 @@ def _as_float(value: object) -> float:
     return float(value)
 
 
+def counted(numbers: Numbers, name: str) -> float:
+    """Return a number by which draws are compared: infinite where it is NaN or missing, or the pendulum fell."""
+    value = numbers.get(name, math.nan) if numbers.get("kept") else math.nan
+    return math.inf if math.isnan(value) else value
+
+
 def run_numbers(
     jobs: Sequence[Job[K]],
     fmus: Path,

@@ -5,7 +5,7 @@ Light to import: the command line knows these before it knows what it will do.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .results import Result
@@ -22,9 +22,6 @@ class SimulationError(RuntimeError):
         super().__init__(message)
         self.result, self.time, self.instance = result, time, instance
 
-    def __reduce__(self) -> tuple[Any, ...]:  # exceptions pass between processes
-        return type(self), (str(self), self.result, self.time, self.instance)
-
 
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C during a run; `result` holds everything recorded until then."""
@@ -32,6 +29,3 @@ class Interrupted(KeyboardInterrupt):
     def __init__(self, result: Result) -> None:
         super().__init__("interrupted")
         self.result = result
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.result,)

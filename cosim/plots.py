@@ -34,8 +34,8 @@ def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> 
 def save_overview(result: Result, path: Path, title: str) -> Path:
     """Write one figure with arm angle, pendulum angle, voltage and homogeneous norm of a single result."""
     panels = (
-        ("arm $\\theta$ [rad]", _angle(result, "theta"), False),
-        ("pendulum $\\delta$ [rad]", _angle(result, "delta"), False),
+        ("arm $\\theta$ [rad]", angle(result, "theta"), False),
+        ("pendulum $\\delta$ [rad]", angle(result, "delta"), False),
         ("voltage [V]", result["controller.voltage"], True),
         ("$\\|x\\|_d$ [1]", np.maximum(_homogeneous_norm(result), 1e-4), False),
     )
@@ -62,13 +62,14 @@ def save_figure(figure: Figure, path: Path, title: str) -> Path:
     return path
 
 
-def _angle(result: Result, name: str) -> np.ndarray:
+def angle(result: Result, name: str) -> np.ndarray:
+    """Return theta or delta [rad] to draw, measured where the true one is missing; delta wrapped, with gaps at its jumps."""
     signal = result[f"plant.{name}"] if f"plant.{name}" in result.signals else result[f"plant.{name}_encoder"]
     if name == "theta":
         return signal
-    angle = wrapped(signal)
-    angle[1:][np.abs(np.diff(angle)) > np.pi] = np.nan  # no line across the jump from pi to -pi
-    return angle
+    drawn = wrapped(signal)
+    drawn[1:][np.abs(np.diff(drawn)) > np.pi] = np.nan  # no line across the jump from pi to -pi
+    return drawn
 
 
 def _homogeneous_norm(result: Result) -> np.ndarray:
@@ -80,11 +81,11 @@ def _angles(results: Mapping[str, Result]) -> Figure:
     panels = ((top, "theta", "arm $\\theta$ [rad]"), (bottom, "delta", "pendulum $\\delta$ [rad]"))
     for axis, name, label in panels:
         for law, result in results.items():
-            axis.plot(result.time, _angle(result, name), color=COLOURS.get(law), lw=1.1, label=law)
+            axis.plot(result.time, angle(result, name), color=COLOURS.get(law), lw=1.1, label=law)
         inset = axis.inset_axes((0.45, 0.57 if _ends_low(axis, results, name) else 0.1, 0.53, 0.4))
         for law, result in results.items():
             late = result.time >= 0.6 * result.time[-1]
-            inset.plot(result.time[late], _angle(result, name)[late], color=COLOURS.get(law), lw=0.9)
+            inset.plot(result.time[late], angle(result, name)[late], color=COLOURS.get(law), lw=0.9)
         inset.tick_params(labelsize="x-small")
         inset.margins(x=0)
         inset.grid(alpha=0.3)
@@ -98,7 +99,7 @@ def _angles(results: Mapping[str, Result]) -> Figure:
 def _ends_low(axis: Any, results: Mapping[str, Result], name: str) -> bool:
     """Whether the second halves of the curves lie in the lower half of the axis, and leave room for an inset above."""
     low, high = axis.get_ylim()
-    late = np.concatenate([_angle(r, name)[len(r.time) // 2 :] for r in results.values()])
+    late = np.concatenate([angle(r, name)[len(r.time) // 2 :] for r in results.values()])
     return bool(np.nanmean(late) <= 0.5 * (low + high))
 
 

@@ -21,7 +21,7 @@ from fmu_export.variables import Value
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.start_values import design_values
 
-from .campaign import Job, Journal, Numbers, run_numbers
+from .campaign import Job, Journal, Numbers, counted, run_numbers
 from .errors import UserError
 from .metrics import evaluate, kept_upright
 from .plots import save_figure
@@ -201,8 +201,7 @@ def numbers(result: Result) -> dict[str, float]:
 
 def _outcome(point: Point, draws: Sequence[Numbers], measure: str) -> Outcome:
     def median(name: str) -> float:
-        values = [draw[name] if draw.get("kept") and not math.isnan(draw[name]) else math.inf for draw in draws]
-        return float(np.median(values))
+        return float(np.median([counted(draw, name) for draw in draws]))
 
     kept = sum(bool(draw.get("kept")) for draw in draws)
     return Outcome(point, median(measure), median(CHATTERING), kept, len(draws))

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from scipy.stats import binomtest
 
+from ..campaign import Numbers, counted
 from . import printed
 from .gains import GainReading, NormReading
 from .study import COMPARED, GAINS, REFERENCE, Key
 
-Numbers = Mapping[str, float]
 Found = Mapping[Key, Numbers]
 Verdict = Literal["holds", "does not hold", "undecided"]
 
@@ -114,7 +114,7 @@ def compare(found: Found, keys: Iterable[Key], better: str, other: str, name: st
     for key in keys:
         if key.variant != better:
             continue
-        a, b = (_number(found[k], name) for k in (key, key._replace(variant=other)))
+        a, b = (counted(found[k], name) for k in (key, key._replace(variant=other)))
         if a == b:
             continue
         draws += 1
@@ -122,9 +122,12 @@ def compare(found: Found, keys: Iterable[Key], better: str, other: str, name: st
     return Share(wins, draws)
 
 
-def _number(numbers: Numbers, name: str) -> float:
-    value = numbers.get(name, math.nan) if numbers.get("kept") else math.nan
-    return math.inf if math.isnan(value) else value
+def by_cell(found: Found) -> dict[tuple[str, str, float, float], list[Key]]:
+    """Return the keys of the runs by (experiment, set, sample time, gain)."""
+    cells: dict[tuple[str, str, float, float], list[Key]] = {}
+    for key in found:
+        cells.setdefault(key[:4], []).append(key)
+    return cells
 
 
 def margin(a: float, b: float) -> float:
@@ -143,9 +146,7 @@ class Judge:
 
     def __init__(self, found: Found) -> None:
         self.found = found
-        self.cells: dict[tuple[str, str, float, float], list[Key]] = {}
-        for key in found:
-            self.cells.setdefault(key[:4], []).append(key)
+        self.cells = by_cell(found)
 
     def key(self, variant: str, gain: float = 0) -> Key:
         """Return the reference run of a controller."""
@@ -266,7 +267,7 @@ class Judge:
 
     def _below(self, variant: str, name: str, bound: float) -> Share:
         keys = [k for k in self.cells.get(("swing-up", *REFERENCE, 0), []) if k.variant == variant]
-        values = [_number(self.found[key], name) for key in keys]
+        values = [counted(self.found[key], name) for key in keys]
         return Share(sum(value <= bound for value in values), len(values))
 
     def _growth(self) -> list[Claim]:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..metrics import angle_norm, wrapped
-from ..plots import COLOURS, save_figure
+from ..campaign import counted
+from ..metrics import angle_norm
+from ..plots import COLOURS, angle, save_figure
 from ..results import Result
 from . import printed
 from .claims import Found, Share, margin
@@ -88,13 +89,11 @@ def _figure_6(pictures: Pictures) -> Figure:
 
 
 def _theta(result: Result) -> np.ndarray:
-    return result["plant.theta"]
+    return angle(result, "theta")
 
 
 def _delta(result: Result) -> np.ndarray:
-    angle = wrapped(result["plant.delta"])
-    angle[1:][np.abs(np.diff(angle)) > np.pi] = np.nan  # no line across the jump from pi to -pi
-    return angle
+    return angle(result, "delta")
 
 
 def _voltage(result: Result) -> np.ndarray:
@@ -137,6 +136,7 @@ def _shares(shares: Sequence[tuple[str, Share]]) -> Figure:
 
 def _chattering(found: Found, study: Study) -> Figure:
     chains = dict.fromkeys(variant.about.removeprefix("IHC ") for variant in study.sweep.values())
+    found = sweep_runs(found)
     figure = Figure(figsize=(10, 7), layout="constrained")
     panels = figure.subplots(2, len(chains), sharex=True, sharey="row", squeeze=False)
     for column, chain in enumerate(chains):
@@ -156,12 +156,16 @@ def _chattering(found: Found, study: Study) -> Figure:
     return figure
 
 
+def sweep_runs(found: Found) -> Found:
+    """Return the few runs of the sweep among all."""
+    return {key: numbers for key, numbers in found.items() if key.experiment == "chattering"}
+
+
 def sweep_median(found: Found, chain: str, a_min: float, step: float, name: str) -> float:
     """Return the median of a number over the draws of one point of the sweep; a lost pendulum counts as infinite."""
     variant = sweep_name(chain, a_min)
     keys = [key for key in found if key.experiment == "chattering" and key.variant == variant and key.step == step]
-    values = [found[key][name] if found[key].get("kept") else np.inf for key in keys]
-    median = float(np.median(values))
+    median = float(np.median([counted(found[key], name) for key in keys]))
     return median if np.isfinite(median) else np.nan
 
 

@@ -77,8 +77,9 @@ def make(study: Study, report: Report | None = None) -> list[Claim]:
             found |= study.run(keys, journal, lambda done, total, name=name: say(name, done, total))
             _check(found)
     say("tables, figures, report", 0, 4)
-    shown = [Key("reference", *REFERENCE, gain, variant, 0) for gain in GAINS for variant in study.variants]
-    pictures = {(key.gain, key.variant): result for key, result in study.pictures(shown).items()}
+    references = study.keys()["reference"]
+    drawn = [key for key in references if key.variant in COMPARED]
+    pictures = {(key.gain, key.variant): result for key, result in study.pictures(drawn).items()}
     theory, runs = _theory(study)
     judge = Judge(found)
     claims = [*judge.claims(), *theory.claims()]
@@ -88,7 +89,7 @@ def make(study: Study, report: Report | None = None) -> list[Claim]:
         for table in section.tables:
             table.save(study.folder)
     tables.draws_table(found).save_csv(study.folder)
-    for key in shown:
+    for key in references:
         study.save_scenario(key)
     say("tables, figures, report", 2, 4)
     figures.save_all(study.folder, pictures, found, study, tables.ranking_names(found))
@@ -232,14 +233,14 @@ def _page(
         for name in section.figures
     }
     sources = dict.fromkeys(key for claim in claims for key in claim.runs)
-    scenarios = {study.scenario(key).name: study.scenario(key).to_toml() for key in sources}
+    scenarios = {scenario_name(key): study.scenario(key).to_toml() for key in sources}
     about = study.designs["paper.json"]
     return environment.get_template("report.html.j2").render(
         sections=sections,
         images=images,
         claims=claims,
         counts=Counter(claim.verdict for claim in claims),
-        runs_of={(claim.section, claim.text): [study.scenario(key).name for key in claim.runs] for claim in claims},
+        runs_of={(claim.section, claim.text): [scenario_name(key) for key in claim.runs] for claim in claims},
         scenarios=scenarios,
         variants=study.variants.values(),
         size=study.size,

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..results import write_beside
 from . import printed
-from .claims import LAWS, Claim, Found, Judge, Share, Theory, compare, margin
-from .figures import sweep_median, swing_up_pairs
+from .claims import LAWS, Claim, Found, Judge, Share, Theory, by_cell, compare, margin
+from .figures import sweep_median, sweep_runs, swing_up_pairs
 from .gains import poles_text
 from .readings import Reading
 from .study import COMPARED, GAINS, REFERENCE, Key, Study
@@ -121,8 +121,9 @@ def lmse_table(judge: Judge, gains: Sequence[int], name: str, title: str) -> Tab
             for variant in variants:
                 said, lc = printed.LMSE[gain][law], printed.LMSE[gain]["LC"]
                 ours = judge.value(variant, "integral_q2", gain)
-                kept = [k for k in judge.cells.get(("swing-up", *REFERENCE, gain), []) if k.variant == variant]
-                both = [k for k in kept if judge.found[k].get("kept") and judge.found[_lc(k)].get("kept")]
+                drawn = [k for k in judge.cells.get(("swing-up", *REFERENCE, gain), []) if k.variant == variant]
+                upright = [k for k in drawn if judge.found[k].get("kept")]
+                both = [k for k in upright if judge.found[_lc(k)].get("kept")]
                 over = [margin(judge.found[k]["integral_q2"], judge.found[_lc(k)]["integral_q2"]) for k in both]
                 rows.append(
                     [
@@ -132,12 +133,10 @@ def lmse_table(judge: Judge, gains: Sequence[int], name: str, title: str) -> Tab
                         ours,
                         margin(said, lc),
                         margin(ours, judge.value("LC", "integral_q2", gain)),
-                        _median(
-                            [judge.found[k].get("integral_q2", math.nan) for k in kept if judge.found[k].get("kept")]
-                        ),
+                        _median([judge.found[k]["integral_q2"] for k in upright]),
                         _median(over),
-                        sum(bool(judge.found[k].get("kept")) for k in kept),
-                        len(kept),
+                        len(upright),
+                        len(drawn),
                     ]
                 )
     note = (
@@ -253,11 +252,8 @@ def shares_table(found: Found) -> Table:
 
 def ranking_cells(found: Found) -> dict[tuple[str, str, float, float], list[Key]]:
     """Return the keys of the draws by (experiment, set, sample time, gain)."""
-    cells: dict[tuple[str, str, float, float], list[Key]] = {}
-    for key in found:
-        if key.experiment in ("swing-up", "shipped", "tilt", "onset"):
-            cells.setdefault(key[:4], []).append(key)
-    return cells
+    ranked = ("swing-up", "shipped", "tilt", "onset")
+    return {cell: keys for cell, keys in by_cell(found).items() if cell[0] in ranked}
 
 
 def readings_table(readings: Sequence[Reading]) -> Table:
@@ -354,6 +350,7 @@ def chattering_table(found: Found, study: Study) -> Table:
     )
     chains = dict.fromkeys(variant.about.removeprefix("IHC ") for variant in study.sweep.values())
     names = ("integral_q2", "steady_rms", "voltage_variation")
+    found = sweep_runs(found)
     rows = []
     for chain in chains:
         for step in study.size.sample_times:

@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from cosim.metrics import evaluate
 from cosim.results import Result
 from ihc_fmu.design import Design
 from ihc_fmu.sliding_mode import linear_pole_smc
+from tests.cosim.command import started
 
 OPTIONS = {
     "design": ["--system", "--method", "--mu", "--alpha", "--u-max", "--delta-max", "--beta", "--psi", "--d-max", "-o"],
@@ -27,26 +27,6 @@ OPTIONS = {
     "demo": ["--output", "-o", "--fmus"],
 }
 SHORT = ("--set", "run.duration=0.3")
-
-
-def started(*args, cwd, **options):
-    """Start the command line with plain text in stdout and stderr, in a session of its own, open to Ctrl-C."""
-    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-    plain.pop("FORCE_COLOR", None)
-    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process inherits that it ignores one
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-m", "cosim", *args],
-            cwd=cwd,
-            env=plain,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-            **options,
-        )
-    finally:
-        signal.signal(signal.SIGINT, earlier)
 
 
 def qube_ihc(*args, cwd):

@@ -5,12 +5,10 @@ import dataclasses
 import itertools
 import json
 import math
-import os
 import re
 import shutil
 import signal
 import statistics
-import subprocess
 import sys
 import time
 from functools import cache
@@ -43,6 +41,7 @@ from cosim.tuning import (
     tune,
 )
 from ihc_fmu.design import Design
+from tests.cosim.command import started
 
 WRITTEN = ["best.json", "best.toml", "landscape.png", "tuning.csv"]
 
@@ -519,28 +518,9 @@ def said(monkeypatch, capsys, tmp_path):
     return run
 
 
-def started(*arguments, cwd):
-    """Start the command line with plain text in stdout and stderr, in a session of its own, open to Ctrl-C."""
-    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-    plain.pop("FORCE_COLOR", None)
-    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process inherits that it ignores one
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-m", "cosim", *map(str, arguments)],
-            cwd=cwd,
-            env=plain,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-    finally:
-        signal.signal(signal.SIGINT, earlier)
-
-
 def finished(*arguments, cwd):
     """Run the command line to its end; return (exit code, stdout, stderr)."""
-    process = started(*arguments, cwd=cwd)
+    process = started(*map(str, arguments), cwd=cwd)
     out, err = process.communicate(timeout=120)
     return process.returncode, out, err
 
@@ -672,7 +652,7 @@ def test_a_journal_that_is_something_else_is_refused_and_stays(elsewhere, said):
 def test_ctrl_c_keeps_the_finished_runs_and_the_next_call_goes_on_from_there(elsewhere, said, undrawn):
     arguments = ("tune", "tilt", *TINY, "--set", "run.duration=40")
     journal = elsewhere / "results" / "tune_tilt" / "runs.jsonl"
-    process = started(*arguments, cwd=elsewhere)
+    process = started(*map(str, arguments), cwd=elsewhere)
     try:
         end = time.monotonic() + 60.0
         while not (journal.exists() and journal.read_bytes().count(b"\n") >= 2):

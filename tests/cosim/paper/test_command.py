@@ -1,39 +1,19 @@
 """`qube-ihc paper` in a process of its own: refusals, and Ctrl-C, after which the same command goes on."""
 
 import json
-import os
 import re
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
 
 from cosim.campaign import JOURNAL_FORMAT
-
-
-def started(*args, cwd):
-    """Start the command with plain text in stdout and stderr, in a session of its own, open to Ctrl-C."""
-    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
-    plain.pop("FORCE_COLOR", None)
-    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process inherits that it ignores one
-    try:
-        return subprocess.Popen(
-            [sys.executable, "-m", "cosim", "paper", *args],
-            cwd=cwd,
-            env=plain,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-    finally:
-        signal.signal(signal.SIGINT, earlier)
+from tests.cosim.command import started
 
 
 def finished(*args, cwd):
-    process = started(*args, cwd=cwd)
+    process = started("paper", *args, cwd=cwd)
     out, err = process.communicate(timeout=120)
     return subprocess.CompletedProcess(args, process.returncode, out, err)
 
@@ -96,7 +76,7 @@ def lines_of(path):
 def interrupted(journal, more, *args, cwd):
     """Start the command, interrupt it when the journal has `more` lines more than before; return what it said."""
     before = len(lines_of(journal))
-    process = started(*args, cwd=cwd)
+    process = started("paper", *args, cwd=cwd)
     try:
         end = time.monotonic() + 60.0
         while len(lines_of(journal)) < before + more:
