@@ -35,6 +35,9 @@ def escaped(text: str) -> str:
     return escape(text)
 
 
+NARROW = 120
+"""Characters that a table of metrics needs with unbroken headings."""
+
 METRIC_UNITS = {
     "settling_time": "s",
     "integral_q2": "rad^2 s",
@@ -73,12 +76,9 @@ def print_comparison(comparison: Comparison) -> None:
         "steady RMS |q| [rad]",
         "∫V² dt [V² s]",
         "peak V [V]",
-        "variation [V/s]",
+        "varies [V/s]",
         "capture [s]",
     )
-    table.add_column("law")
-    for heading in headings:
-        table.add_column(escaped(heading), justify="right")
     names = (
         "settling_time",
         "integral_q2",
@@ -88,8 +88,13 @@ def print_comparison(comparison: Comparison) -> None:
         "voltage_variation",
         "capture_time",
     )
-    for law in laws:
-        table.add_row(law, *(number_text(comparison.median(law, name)) for name in names))
+    columns = [[number_text(comparison.median(law, name)) for law in laws] for name in names]
+    table.add_column("law", no_wrap=True)
+    for heading, cells in zip(headings, columns, strict=True):
+        widest = max(map(len, [*cells, *heading.split()]))  # a narrow terminal breaks headings, never numbers
+        table.add_column(escaped(heading), justify="right", width=widest if console.width < NARROW else None)
+    for row in zip(laws, *columns, strict=True):
+        table.add_row(*row)
     console.print(table)
 
 
