@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Generic, Self, TypeVar
 
+from . import parameter_files
 from .errors import SimulationError, UserError
 from .fmu import describe
 from .results import Result, versions
@@ -55,7 +56,7 @@ def run_all(
     if len({job.key for job in jobs}) < len(jobs):
         raise ValueError("two jobs of a campaign have the same key")
     fmus = fmus.absolute()  # FMPy changes the folder of the whole process while it loads a library
-    jobs = [replace(job, folder=None if job.folder is None else job.folder.absolute()) for job in jobs]
+    jobs = [_anchored(job) for job in jobs]
     stop = threading.Event()
 
     def look(_done: int = 0, _total: int = 0) -> None:
@@ -89,11 +90,19 @@ def run_all(
     return {job.key: found[job.key] for job in jobs}
 
 
+def _anchored(job: Job[K]) -> Job[K]:
+    """Return the job with absolute paths."""
+    parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
+    if parameters is not None:
+        job = replace(job, scenario=job.scenario.changed({"plant.parameters": str(parameters.absolute())}))
+    return replace(job, folder=None if job.folder is None else job.folder.absolute())
+
+
 class Journal:
     """Finished runs' numbers in a file of JSON lines, each under a digest of all that decides them.
 
     A line is written when its run is finished; a last line that was cut short is dropped. Numbers of runs whose scenario,
-    design or FMUs have changed since are not found again. The file is made with the first line.
+    design, parameter file or FMUs have changed since are not found again. The file is made with the first line.
     """
 
     def __init__(self, path: Path, purpose: str) -> None:
@@ -137,17 +146,18 @@ class Journal:
             self._file = None
 
     def digest(self, job: Job[Any], fmus: Path) -> str:
-        """Return what the job's numbers are kept under: a hash of purpose, versions, scenario, FMUs and design."""
+        """Return what the job's numbers are kept under: a hash of purpose, versions, scenario, FMUs and files."""
         about = hashlib.sha256(f"{self.purpose} {dict(versions())}".encode())
         about.update(job.scenario.model_dump_json().encode())
         plant, controller, design = files(job.scenario, fmus, job.folder)
         for fmu in (plant, controller):
             about.update(str(describe(fmu)[1].guid).encode())
-        if design is not None:
+        parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
+        for what, file in (("design", design), ("parameter", parameters)):
             try:
-                about.update(design.read_bytes())
+                about.update(b"" if file is None else file.read_bytes())
             except FileNotFoundError:
-                raise UserError(f"design file {design} does not exist") from None
+                raise UserError(f"{what} file {file} does not exist") from None
         return about.hexdigest()[:32]
 
     def keep(self, digest: str, numbers: Numbers) -> None:

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .display import (
-    METRIC_UNITS,
     console,
-    number_text,
     print_claims,
     print_comparison,
     print_design,
+    print_metrics,
+    print_results,
     print_tuning,
     progress,
     say_error,
@@ -27,11 +27,11 @@ from .display import (
 )
 from .errors import Interrupted, SimulationError, UserError
 from .export import Kind, Smc, export_units
+from .hil import commands as hil_commands
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
-
-SCENARIOS = Path(__file__).parent / "scenarios"
 
 FAILED = 1
 USAGE = 2
@@ -46,18 +46,6 @@ app = typer.Typer(
     "controller as FMUs, **run** scenarios with them, **compare** the laws, **tune** the controller, repeat the **paper**'s "
     "experiments. `demo` does the first four.",
 )
-SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
-
-FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
-SetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="ENTRY=VALUE",
-        help="Change an entry of the scenario, e.g. `run.duration=20`, `plant.parameters=hcs` or "
-        "`controller.start.a_min=0.7`; may be repeated.",
-    ),
-]
 
 
 class Method(StrEnum):
@@ -67,13 +55,18 @@ class Method(StrEnum):
     direct = "direct"
 
 
+hil_commands.register(app)
+
+
 def main() -> None:
     """Run the command line; a user's mistake is one sentence and exit code 2, a failed run 1, Ctrl-C 130."""
     from fmu_export.native_build import BuildError
 
+    from .hil.device import DeviceError
+
     try:
         app()
-    except (SimulationError, ArithmeticError, BuildError) as error:
+    except (SimulationError, ArithmeticError, BuildError, DeviceError) as error:
         say_error(error)
         sys.exit(FAILED)
     except (UserError, ValueError, OSError) as error:
@@ -196,7 +189,7 @@ def export(
     from ihc_fmu.start_values import default_design
 
     changes: dict[str, dict[str, Any]] = {"plant": {}, "controller": {}}
-    for name, value in _assignments(change):
+    for name, value in assignments(change):
         unit, dot, variable = name.partition(".")
         if not dot or unit not in changes:
             raise UserError(f"--set must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
@@ -219,20 +212,6 @@ def _load_design(path: Path) -> Design:
     return Design.load(path)
 
 
-def _assignments(items: list[str] | None) -> list[tuple[str, Any]]:
-    """Return (name, value) of each NAME=VALUE; values read as TOML where they are, as plain text otherwise."""
-    pairs = []
-    for item in items or []:
-        name, equals, text = item.partition("=")
-        if not equals or not name:
-            raise UserError(f"--set takes NAME=VALUE, found {item!r}")
-        try:
-            pairs.append((name, tomllib.loads(f"value = {text}")["value"]))
-        except tomllib.TOMLDecodeError:
-            pairs.append((name, text))
-    return pairs
-
-
 @app.command()
 def run(
     scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
@@ -253,11 +232,11 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from .metrics import can_evaluate, evaluate
+    from .metrics import can_evaluate
     from .scenario import load_scenario, run_scenario
 
     chosen, folder = load_scenario(scenario)
-    changes = dict(_assignments(change)) | ({} if engine is None else {"run.engine": engine})
+    changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
     chosen = chosen.changed(changes)
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
@@ -282,14 +261,15 @@ def run(
 
         console.print(f"wrote {save_overview(result, path.with_suffix('.png'), chosen.description or chosen.name)}")
     if can_evaluate(result):
-        for name, value in evaluate(result).as_dict().items():
-            unit = "" if math.isnan(value) else METRIC_UNITS[name]
-            console.print(f"  {name:17} {number_text(value)} {unit}".rstrip())
+        print_metrics(result)
 
 
 @app.command()
 def compare(
-    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
+    scenario: Annotated[
+        list[str],
+        typer.Argument(help=f"{SCENARIO_HELP} Or results of `run` or `hil` (*.csv)."),
+    ],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
     draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
@@ -299,7 +279,10 @@ def compare(
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
-    """Run a scenario with each law and draw, print the medians as a table, write results and pictures."""
+    """Run a scenario with each law and draw, print the medians as a table, write results and pictures.
+
+    Given results of `run` or `hil` instead, show them side by side.
+    """
     from .experiments import LAWS, Study
     from .scenario import load_scenario
 
@@ -307,9 +290,28 @@ def compare(
     unknown = [law for law in chosen_laws if law not in LAWS]
     if unknown or len(set(chosen_laws)) != len(chosen_laws):
         raise UserError(f"--laws must be different ones of {', '.join(LAWS)}, found {laws!r}")
-    chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed(dict(_assignments(change)))
+    if all(name.endswith(".csv") for name in scenario):
+        _compare_results([Path(name) for name in scenario], output / "compared")
+        return
+    if len(scenario) > 1:
+        raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
+    chosen, folder = load_scenario(scenario[0])
+    chosen = chosen.changed(dict(assignments(change)))
     _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
+
+
+def _compare_results(paths: list[Path], folder: Path) -> None:
+    from .plots import save_comparison
+    from .results import Result
+
+    stems = [path.stem for path in paths]
+    names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
+    if len(set(names)) < len(names):
+        raise UserError(f"results to compare must be different files, found {', '.join(map(str, paths))}")
+    results = {name: Result.load(path) for name, path in zip(names, paths, strict=True)}
+    print_results(results)
+    save_comparison(results, folder, ", ".join(names))
+    console.print(f"pictures in {folder}")
 
 
 def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
@@ -370,7 +372,7 @@ def tune(
     from .tuning import tune as run_tuning
 
     chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed(dict(_assignments(change)))
+    chosen = chosen.changed(dict(assignments(change)))
     given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
     grid = Grid(
         **{name: _numbers(f"--{name.replace('_', '-')}", text) for name, text in given.items() if text is not None}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -60,6 +60,32 @@ def warn_of_messages(result: Result) -> None:
     for instance, messages in result.metadata.get("messages", {}).items():
         for message in messages:
             problems.print(f"[yellow]{instance}:[/] {escaped(message)}")
+
+
+def print_metrics(result: Result) -> None:
+    """Print the metrics of a result, one a line."""
+    from .metrics import evaluate
+
+    for name, value in evaluate(result).as_dict().items():
+        unit = "" if math.isnan(value) else METRIC_UNITS[name]
+        console.print(f"  {name:17} {number_text(value)} {unit}".rstrip())
+
+
+def print_results(results: Mapping[str, Result]) -> None:
+    """Print the metrics of several results side by side."""
+    from rich.table import Table
+
+    from .metrics import NAMES, evaluate
+
+    table = Table()
+    table.add_column("metric")
+    for name in results:
+        table.add_column(escaped(name), justify="right")
+    metrics = [evaluate(result).as_dict() for result in results.values()]
+    for name in NAMES:
+        unit = f" [{METRIC_UNITS[name]}]" if METRIC_UNITS[name] else ""
+        table.add_row(escaped(f"{name}{unit}"), *(number_text(m[name]) for m in metrics))
+    console.print(table)
 
 
 def print_comparison(comparison: Comparison) -> None:

@@ -37,8 +37,9 @@ def export_units(
 ) -> list[Path]:
     """Write QubeServo2.fmu, IhcController.fmu and QubeWithController.ssp to the folder `output`; return their paths.
 
-    `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model; `changes` to
-    start values are given per unit, "plant" and "controller". `platforms` as in `export_native_fmu`. Raises
+    `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
+    that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` as in
+    `export_native_fmu`. Raises
     ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
     """
     from fmu_export.native_fmu import export_native_fmu
@@ -54,18 +55,20 @@ def export_units(
     from plant_fmu.native_unit import NATIVE as PLANT
     from plant_fmu.slave import QubeServo2
 
+    from .parameter_files import chosen
     from .scenario import WIRES
 
+    plant_set, nominal_set = chosen(parameters), chosen(nominal)
     changes = {"plant": {}, "controller": {}, **(changes or {})}
     A, b, k_lin = design.A, design.b, design.k_lin
     sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
     plans = (
-        (PLANT, QubeServo2, {**plant_start_values(parameters), **changes["plant"]}, plant_notes(parameters)),
+        (PLANT, QubeServo2, {**plant_start_values(plant_set), **changes["plant"]}, plant_notes(plant_set)),
         (
             CONTROLLER,
             IhcController,
-            {**controller_start_values(design, nominal, sliding), **changes["controller"]},
-            controller_notes(design, nominal),
+            {**controller_start_values(design, nominal_set, sliding), **changes["controller"]},
+            controller_notes(design, nominal_set.name),
         ),
     )
     for native, _, start, _ in plans:

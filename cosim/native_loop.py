@@ -6,6 +6,7 @@ The loop calls the FMUs' own functions without Python in between and without the
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -141,6 +142,20 @@ class NativeLoop:
                     values[: until - run.done] = ahead(start_time, step, run.done, until - run.done)
             self._advance(ctypes.byref(run), until, SECONDS_PER_CALL)
             yield run.done
+
+    def stepper(self, step: float) -> Callable[[], int]:
+        """Return a function that does the next step, from time 0 on, recording nothing; it returns 1 where a call failed."""
+        run = self.run
+        run.step, run.steps, run.every = step, 2**62, 2**62
+        reference, advance, forever = ctypes.byref(run), self._advance, math.inf
+        done = 0
+
+        def one_step() -> int:
+            nonlocal done
+            done += 1
+            return advance(reference, done, forever)
+
+        return one_step
 
     def failure(self) -> tuple[int, str, int] | None:
         """Return (index of the instance, what was called, status) of the call that failed; None if none did."""

@@ -58,6 +58,8 @@ class Result:
     @classmethod
     def load(cls, path: Path) -> Result:
         """Read a CSV and the JSON beside it; raise UserError that names the file and what is wrong with it."""
+        if not path.exists():
+            raise UserError(f"result file {path} does not exist")
         try:
             header = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
             with path.open(newline="", encoding="utf-8") as file:

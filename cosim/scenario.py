@@ -17,6 +17,7 @@ from ihc_fmu.interface import VELOCITY_SOURCES
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
+from . import parameter_files
 from .errors import UserError
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .results import Result
@@ -71,7 +72,9 @@ class PlantSection(_Section):
 
     fmu: str = Field("QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario")
     parameters: str | None = Field(
-        "ident", description=f"named set: {', '.join(PARAMETER_SETS)}; none: the FMU's start values"
+        "ident",
+        description=f"named set: {', '.join(PARAMETER_SETS)}; or a file *.toml, beside the scenario or in the current "
+        "folder; none: the FMU's start values",
     )
     measurement: Literal["encoders", "ideal"] = Field(
         "encoders", description="encoders: counted angles; ideal: the true state, velocities included"
@@ -215,11 +218,10 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
         raise UserError(f"{source}: {_first_problem(error)}") from None
     try:
         step_count(scenario.run.step, scenario.run.duration)
+        if scenario.plant.parameters is not None:
+            parameter_files.check_name(scenario.plant.parameters, "plant.parameters")
     except UserError as error:
         raise UserError(f"{source}: {error}") from None
-    names = scenario.plant.parameters
-    if names is not None and names not in PARAMETER_SETS:
-        raise UserError(f"{source}: plant.parameters must be one of {', '.join(PARAMETER_SETS)}, found {names!r}")
     return scenario
 
 
@@ -243,11 +245,11 @@ def _first_problem(error: ValidationError) -> str:
 def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> System:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
-    Raises UserError for files that do not exist and designs that fail their certificate.
+    Raises UserError for files that do not exist or say what cannot be, and designs that fail their certificate.
     """
     plant_start: dict[str, StartValue] = {}
     if scenario.plant.parameters is not None:
-        plant_start |= plant_start_values(scenario.plant.parameters)
+        plant_start |= plant_start_values(parameter_files.chosen(scenario.plant.parameters, folder))
     if scenario.run.seed is not None:
         plant_start |= random_measurement(scenario.run.seed)
     plant_fmu, controller_fmu, design = files(scenario, fmus, folder)

@@ -1,13 +1,15 @@
-"""Write the tables of the documentation that are derived from the code: variables.md, and the entries of scenarios."""
+"""Write the tables of the documentation that are derived from the code: variables, scenarios' entries, faults."""
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
+from cosim.hil.faults import KINDS
 from cosim.scenario import Scenario
 from fmu_export.variables import Interface, Variable
 from ihc_fmu.interface import INTERFACE as CONTROLLER
@@ -16,7 +18,7 @@ from plant_fmu.interface import INTERFACE as PLANT
 from plant_fmu.interface import start_values as plant_start_values
 
 DOCS = Path(__file__).parent
-START, END = "<!-- scenario entries: made by docs/make_tables.py -->\n", "<!-- end -->"
+START, END = "<!-- {}: made by docs/make_tables.py -->\n", "<!-- end -->"
 
 
 def variables() -> str:
@@ -69,14 +71,29 @@ def scenario_entries() -> str:
     return "\n".join(lines) + "\n"
 
 
+def fault_kinds() -> str:
+    """Return the table of a simulated device's faults."""
+    lines = ["| kind | value | without a duration |", "|---|---|---|"]
+    for kind, (value, duration, text) in KINDS.items():
+        default = "" if value is None else f"; {value:g} if none is given"
+        lasting = {0.0: "one sample", math.inf: "for ever"}.get(duration, f"{duration:g} s")
+        lines.append(f"| `{kind}` | {text}{default} | {lasting} |")
+    return "\n".join(lines) + "\n"
+
+
+def _with_table(page: str, mark: str, table: str) -> str:
+    """Return the page's text with the table between its marks."""
+    start = START.format(mark)
+    head, rest = (DOCS / page).read_text(encoding="utf-8").split(start)
+    return f"{head}{start}\n{table}\n{END}{rest.split(END, 1)[1]}"
+
+
 def rendered() -> dict[Path, str]:
     """Return each file's whole text, as it should be."""
-    page = (DOCS / "cosimulation.md").read_text(encoding="utf-8")
-    head, rest = page.split(START)
-    tail = rest.split(END, 1)[1]
     return {
         DOCS / "variables.md": variables(),
-        DOCS / "cosimulation.md": f"{head}{START}\n{scenario_entries()}\n{END}{tail}",
+        DOCS / "cosimulation.md": _with_table("cosimulation.md", "scenario entries", scenario_entries()),
+        DOCS / "hil.md": _with_table("hil.md", "fault kinds", fault_kinds()),
     }
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu_export.variables import Value
 from plant_fmu.dynamics import coefficients
-from plant_fmu.parameters import QubeParameters, parameter_set
+from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 
 from .design import PAPER_A, PAPER_B, PAPER_K_LIN, Design, Options, inverse_design
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
@@ -71,7 +71,12 @@ def zip_names(names: Iterable[str], numbers: Iterable[float]) -> dict[str, Value
     return {name: float(number) for name, number in zip(names, numbers, strict=True)}
 
 
-def controller_start_values(design: Design, nominal: str = "ident", smc: SlidingMode | None = None) -> dict[str, Value]:
-    """Return the start values of the controller FMU for a design and the named parameter set as nominal model."""
+def controller_start_values(
+    design: Design, nominal: str | ParameterSet = "ident", smc: SlidingMode | None = None
+) -> dict[str, Value]:
+    """Return the start values of the controller FMU for a design and a parameter set, given or named, as nominal model.
+
+    The nominal model has no dry friction.
+    """
     model = nominal_values(parameter_set(nominal).parameters)
     return design_values(design, smc) | model | kalman_values(model, float(INTERFACE.step_size))

@@ -10,7 +10,7 @@ from math import pi
 
 from fmu_export.variables import Interface, Value, Variable
 
-from .parameters import PARAMETER_SETS, QubeParameters, parameter_set
+from .parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
 MOTOR_MODELS = ("static", "inductance")
 MAX_DELAY_STEPS = 1000
@@ -104,12 +104,12 @@ INTERFACE = Interface(
 )
 
 
-def start_values(name: str) -> dict[str, Value]:
-    """Return the start values that turn the plant into the named parameter set.
+def start_values(chosen: str | ParameterSet) -> dict[str, Value]:
+    """Return the start values that turn the plant into a parameter set, given or named.
 
-    Raises ValueError for an unknown set.
+    Raises ValueError for an unknown name.
     """
-    chosen = parameter_set(name)
+    chosen = parameter_set(chosen)
     values: dict[str, Value] = {f.name: getattr(chosen.parameters, f.name) for f in fields(QubeParameters)}
     values["back_emf"] = chosen.back_emf
     return values

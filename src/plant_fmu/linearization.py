@@ -17,7 +17,9 @@ Array = np.ndarray
 def linearize(p: QubeParameters, *, back_emf: bool = True) -> tuple[Array, Array]:
     """Return (A, b): A of shape (4, 4), b of shape (4,), for the motor voltage [V] as input.
 
-    Back-EMF adds k_m^2/R_m to the arm's damping D_r; the paper's printed A and b are without it.
+    Back-EMF adds k_m^2/R_m to the arm's damping D_r; the paper's printed A and b are without it. The dry friction T_r is
+    left out: it is not linear about rest. (Its smoothed form has the slope T_r/v_s there, a damping that holds for
+    |theta'| far below v_s = 0.05 rad/s only; the FMU's directional derivatives at rest contain it.)
     """
     zeta, psi, varpi = p.m_p * p.L_p**2, p.m_p * p.L_r**2, p.m_p * p.L_p * p.L_r
     J_T = p.J_p * psi + p.J_r * p.J_p + p.J_r * zeta / 4

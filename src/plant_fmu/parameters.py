@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, dataclass, field, fields, replace
+from typing import Any
 
 PAPER = "Cruz-Ortiz et al., section V"
 RODS = "uniform rod about its centre, J = m L^2 / 12"
 
 
-def _number(unit: str, description: str, source: str, *, positive: bool = True) -> float:
-    return field(metadata={"unit": unit, "description": description, "source": source, "positive": positive})
+def _number(unit: str, description: str, source: str, *, positive: bool = True, default: Any = MISSING) -> float:
+    metadata = {"unit": unit, "description": description, "source": source, "positive": positive}
+    return field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +20,7 @@ class QubeParameters:
     """The constants of eq. (5) and of the motor, tau = k_m (V - k_m theta') / R_m.
 
     Raises ValueError where a value is not finite, or an inertia, mass, length or electrical constant is not positive,
-    or a damping is negative.
+    or a damping or friction is negative.
     """
 
     m_p: float = _number("kg", "mass of the pendulum", PAPER)
@@ -28,6 +30,9 @@ class QubeParameters:
     L_r: float = _number("m", "length of the rotary arm", PAPER)
     J_r: float = _number("kg.m2", "inertia of the rotary arm about the motor axis", "see the set")
     D_r: float = _number("N.m.s/rad", "viscous damping of the rotary arm", "see the set", positive=False)
+    T_r: float = _number(
+        "N.m", "dry (Coulomb) friction torque of the rotary arm", "see the set", positive=False, default=0.0
+    )
     g_p: float = _number("m/s2", "gravitational acceleration", PAPER)
     R_m: float = _number("Ohm", "terminal resistance of the motor", PAPER)
     k_m: float = _number("V.s/rad", "electromotive force constant (equal to the torque constant, N.m/A)", PAPER)
@@ -106,8 +111,10 @@ PARAMETER_SETS: dict[str, ParameterSet] = {
 }
 
 
-def parameter_set(name: str) -> ParameterSet:
-    """Return the named set, or raise ValueError that lists the names."""
+def parameter_set(name: str | ParameterSet) -> ParameterSet:
+    """Return the named set, and a set as it is; raise ValueError that lists the names for another name."""
+    if isinstance(name, ParameterSet):
+        return name
     try:
         return PARAMETER_SETS[name]
     except KeyError:

@@ -119,6 +119,19 @@ def test_design_export_run_compare(tmp_path):
         assert re.search(rf"│ {row['law']} +│ +never │ +{float(row['integral_q2']):.4g} │", said)
 
 
+def test_results_are_compared_side_by_side(elsewhere):
+    for name, a_min in (("first", "0.88"), ("second", "0.5")):
+        change = ("--set", f"controller.start.a_min={a_min}")
+        accepted("run", "tilt", *SHORT, *change, "--no-plot", "-o", f"{name}.csv", cwd=elsewhere)
+    said = accepted("compare", "first.csv", "second.csv", "-o", "pictures", cwd=elsewhere)
+    assert files(elsewhere / "pictures" / "compared") == [
+        f"{n}.png" for n in ("angles", "homogeneous_norm", "norm", "voltage")
+    ]
+    energies = [evaluate(Result.load(elsewhere / f"{name}.csv")).energy for name in ("first", "second")]
+    assert energies[0] != energies[1]
+    assert re.search(rf"energy \[V\^2 s\] +│ +{energies[0]:.4g} │ +{energies[1]:.4g} │", said)
+
+
 def test_a_run_is_the_same_again_and_knows_where_to_write(elsewhere):
     for name in ("first", "second"):
         accepted("run", "tilt_ideal", *SHORT, "--no-plot", "-o", f"new folder/{name}.csv", cwd=elsewhere)
@@ -161,6 +174,10 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
             "controller.law must be one of LC, SMC, IHC, found 'PID'",
         ),
         (("compare", "tilt", "--laws", "LC,LC"), "--laws must be different ones of LC, SMC, IHC, found 'LC,LC'"),
+        (("compare", "tilt", "swing_up"), "compare takes one scenario, or results (*.csv), found tilt, swing_up"),
+        (("compare", "a.csv", "tilt"), "compare takes one scenario, or results (*.csv), found a.csv, tilt"),
+        (("compare", "a.csv", "a.csv"), "results to compare must be different files, found a.csv, a.csv"),
+        (("compare", "a.csv"), "result file a.csv does not exist"),
         (("run", "tilt", "--set", "controller.start.j_max=nan"), "controller.j_max must be finite, found nan"),
         (("run", "tilt", "--set", "controller.start.j_max=inf"), "controller.j_max must be finite, found inf"),
         (

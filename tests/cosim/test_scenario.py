@@ -24,7 +24,7 @@ from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.start_values import kalman_values, nominal_values
 from plant_fmu.parameters import PARAMETER_SETS
 
-BUILT_IN = ["disturbed", "paper", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
+BUILT_IN = ["device", "disturbed", "paper", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
 
 FULL = """
 description = "all of it"
@@ -131,7 +131,7 @@ def test_an_empty_file_is_a_scenario_of_defaults(written):
         ("run = 3", "run must be a valid dictionary"),
         (
             "[plant]\nparameters = 'idnt'",
-            "plant.parameters must be one of matrices, ident, hcs, listed, swapped, found",
+            "plant.parameters must be one of matrices, ident, hcs, listed, swapped or a file *.toml, found 'idnt'",
         ),
         ("[plant]\nmeasurement = 'none'", "plant.measurement must be 'encoders' or 'ideal', found 'none'"),
         ("[plant]\nstart = 3", "plant.start must be a valid dictionary, found 3"),

@@ -9,6 +9,7 @@ import shutil
 import struct
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -24,6 +25,7 @@ from fmu_export.native_build import BINARIES, PLATFORMS, BuildError, host_platfo
 from fmu_export.native_fmu import export_native_fmu
 from fmu_export.native_unit import start_value_file, variable_table
 from ihc_fmu.design import PAPER_A, PAPER_B
+from plant_fmu.dynamics import FRICTION_SPEED
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import PARAMETER_SETS
@@ -350,10 +352,14 @@ def assert_close_to_differences(found, expected):
 
 
 @pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("back_emf", [True, False])
+@pytest.mark.parametrize(
+    "changes",
+    [{"back_emf": True}, {"back_emf": False}, {"T_r": 2e-3}],
+    ids=["back-EMF", "no back-EMF", "dry friction"],
+)
 @pytest.mark.parametrize("motor", [STATIC, INDUCTANCE])
-def test_directional_derivatives_of_the_rates_are_their_differences(motor, back_emf, seed, exchange):
-    plant, point = exchange(motor, back_emf=back_emf), random_point(motor, seed)
+def test_directional_derivatives_of_the_rates_are_their_differences(motor, changes, seed, exchange):
+    plant, point = exchange(motor, **changes), random_point(motor, seed)
     expected = differences(plant.derivatives, *point)
     assert_close_to_differences(plant.jacobian(*point, DERIVATIVES[motor]), expected)
 
@@ -399,6 +405,13 @@ def test_directional_derivatives_upright_are_the_linear_model(name, exchange):
     np.testing.assert_allclose(jacobian[:, :4], A, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(jacobian[:, 4], b, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(jacobian[:, 5], jacobian[:, 4])
+
+
+def test_dry_friction_at_rest_is_a_damping_by_its_slope(exchange):
+    ident, friction = PARAMETER_SETS["ident"].parameters, 1e-4
+    jacobian = exchange(STATIC, T_r=friction).jacobian([0.0] * 4, [0.0] * 3, DERIVATIVES[STATIC])
+    A, _ = linearize(replace(ident, D_r=ident.D_r + friction / FRICTION_SPEED))
+    np.testing.assert_allclose(jacobian[:, :4], A, rtol=1e-12, atol=1e-12)
 
 
 def test_directional_derivatives_upright_are_the_papers_a_and_b(exchange):

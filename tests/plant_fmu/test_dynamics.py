@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
-from math import pi, sin, sqrt
+from math import cos, log, pi, sin, sqrt
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 SETS = [pytest.param(entry.parameters, id=name) for name, entry in PARAMETER_SETS.items()]
 IDENT = PARAMETER_SETS["ident"].parameters
+RUBBING = replace(IDENT, T_r=5e-4)
 PHYSICAL = ("m_p", "L_p", "J_p", "D_p", "L_r", "J_r", "D_r", "g_p")
 
 
@@ -89,7 +90,7 @@ def test_energy_equals_the_lagrangian_derivation_and_is_zero_upright(p):
     assert dynamics.energy(c, pi, 0.0, 0.0) == pytest.approx(-p.m_p * p.g_p * p.L_p, rel=1e-14)
 
 
-@pytest.mark.parametrize("p", SETS)
+@pytest.mark.parametrize("p", [*SETS, pytest.param(RUBBING, id="dry friction")])
 def test_power_balance_holds_along_the_flow(p):
     c = dynamics.coefficients(p)
     for x, (tau, tau_p) in zip(*random_states(100), strict=True):
@@ -98,7 +99,8 @@ def test_power_balance_holds_along_the_flow(p):
         h = 1e-6
         after, before = (dynamics.energy(c, *(np.array(x) + sign * h * rate)[1:]) for sign in (1, -1))
         motor = p.k_m * (voltage - p.k_m * x[2]) / p.R_m * x[2]
-        terms = motor, tau_p * x[3], -p.D_r * x[2] ** 2, -p.D_p * x[3] ** 2
+        dry = -p.T_r * x[2] ** 2 / (abs(x[2]) + dynamics.FRICTION_SPEED)
+        terms = motor, tau_p * x[3], -p.D_r * x[2] ** 2, -p.D_p * x[3] ** 2, dry
         assert (after - before) / (2 * h) == pytest.approx(sum(terms), abs=1e-6 * sum(map(abs, terms)))
 
 
@@ -112,6 +114,56 @@ def test_energy_is_conserved_over_ten_seconds_without_motor_and_damping(p):
         x = rk4_step(lambda x: dynamics.derivative_static(c, x, 0.0, 0.0), x, h)
         drift = max(drift, abs(dynamics.energy(c, *x[1:]) - start))
     assert drift < 1e-6 * 2 * c.gravity
+
+
+def test_dry_friction_alone_takes_energy_and_never_adds_any():
+    p = replace(RUBBING, D_p=0.0, D_r=0.0)
+    c = dynamics.coefficients(p, back_emf=False)
+    x, energies, h = (0.3, 2.0, 5.0, -1.0), [], 2e-4
+    for _ in range(20_000):
+        energies.append(dynamics.energy(c, *x[1:]))
+        x = rk4_step(lambda x: dynamics.derivative_static(c, x, 0.0, 0.0), x, h)
+    assert max(np.diff(energies)) < 1e-10 * c.gravity
+    assert energies[-1] < energies[0] - 0.5 * c.gravity
+
+
+def test_spinning_arm_slows_down_as_the_separated_equation_says():
+    """J v' = -T_r v/(v + v_s) has v + v_s ln v = v_0 + v_s ln v_0 - T_r t/J."""
+    p = replace(RUBBING, m_p=1e-15, D_r=0.0)  # the pendulum weighs nothing
+    v_s, v_0, h = dynamics.FRICTION_SPEED, 2.0, 1e-3
+    for time in (0.05, 0.2, 0.25):
+        v = swing(p, x=(0.0, 0.0, v_0, 0.0), back_emf=False, h=h, time=time)[2]
+        assert 0.0 < v < v_0
+        assert v + v_s * log(v) == pytest.approx(v_0 + v_s * log(v_0) - p.T_r * time / p.J_r, abs=1e-7)
+
+
+def test_torque_below_the_dry_friction_only_creeps():
+    """The torque tau and the friction T_r v/(v + v_s) balance at v = v_s tau/(T_r - tau)."""
+    tau = 0.3 * RUBBING.T_r
+    p = replace(RUBBING, D_r=0.0)
+    x = swing(p, x=(0.0, pi, 0.0, 0.0), back_emf=False, voltage=tau * p.R_m / p.k_m, time=8.0)
+    assert x[2] == pytest.approx(dynamics.FRICTION_SPEED * 0.3 / 0.7, rel=1e-6)
+
+
+def test_plant_without_dry_friction_is_the_papers_to_the_last_bit():
+    c = dynamics.coefficients(IDENT)
+    for (_, delta, v, w), (tau, tau_p) in zip(*random_states(500), strict=True):
+        s, k = sin(delta), cos(delta)
+        j_11, j_12, sk = c.J_11 + c.zeta_4 * s * s, -c.varpi_2 * k, c.zeta_4 * s * k
+        r_1 = tau - (2.0 * sk * w + c.D_r) * v - c.varpi_2 * s * w * w
+        r_2 = tau_p + sk * v * v - c.D_p * w + c.gravity * s
+        determinant = j_11 * c.J_22 - j_12 * j_12
+        expected = (c.J_22 * r_1 - j_12 * r_2) / determinant, (j_11 * r_2 - j_12 * r_1) / determinant
+        assert dynamics.accelerations(c, delta, v, w, tau, tau_p) == expected
+
+
+def test_arrays_of_states_have_the_accelerations_of_each():
+    c = dynamics.coefficients(RUBBING)
+    states, torques = random_states(50)
+    (_, delta, v, w), (tau, tau_p) = np.transpose(states), np.transpose(torques)
+    found = dynamics.solve(c, np.sin(delta), np.cos(delta), v, w, tau, tau_p)  # type: ignore[arg-type]
+    expected = [dynamics.accelerations(c, *x[1:], *t) for x, t in zip(states, torques, strict=True)]
+    np.testing.assert_allclose(np.transpose(found), expected, rtol=1e-12)
 
 
 def test_pendulum_on_a_heavy_arm_has_the_period_of_the_elliptic_integral():

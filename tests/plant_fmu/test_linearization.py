@@ -1,5 +1,7 @@
 """A and b against differences of the dynamics, the printed matrices, and the poles of the manufacturer's gain."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -47,6 +49,12 @@ def test_back_emf_changes_only_the_column_of_the_arms_velocity():
     np.testing.assert_allclose(A[2:, 2] - A_0[2:, 2], -p.k_m * b[2:], rtol=1e-12)
     np.testing.assert_array_equal(np.delete(A, 2, axis=1), np.delete(A_0, 2, axis=1))
     np.testing.assert_array_equal(b, b_0)
+
+
+def test_dry_friction_is_left_out():
+    p = PARAMETER_SETS["ident"].parameters
+    for with_friction, without in zip(linearize(replace(p, T_r=1e-3)), linearize(p), strict=True):
+        np.testing.assert_array_equal(with_friction, without)
 
 
 def test_manufacturers_gain_has_its_known_poles_on_the_printed_matrices():

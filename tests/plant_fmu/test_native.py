@@ -71,6 +71,8 @@ CASES = {
     "hanging": {},
     "tilted": {"delta_0": 0.3, "theta_0": -2.0, "theta_dot_0": 5.0, "delta_dot_0": -7.0},
     "without back-EMF": {"back_emf": False},
+    "dry friction": {"T_r": 2e-3},
+    "dry friction alone": {"T_r": 3e-4, "D_r": 0.0, "D_p": 0.0, "back_emf": False, "delta_0": 1.0},
     "ideal sensors": {"encoder_counts": 0},
     "coarse encoders": {"encoder_counts": 7, "theta_encoder_offset": 0.0, "delta_encoder_offset": 1.0},
     "noise": {"noise_std": 1e-2, "noise_seed": 7},
@@ -104,6 +106,7 @@ def test_random_pendulums_are_the_same_in_both(seed, pair):
     rng = random.Random(seed)
     ident = start_values("ident")
     changes = {name: ident[name] * 10 ** rng.uniform(-0.5, 0.5) for name in QubeParameters.__dataclass_fields__}
+    changes["T_r"] = 10 ** rng.uniform(-5.0, -2.5)
     for name in ("theta_0", "delta_0", "theta_dot_0", "delta_dot_0"):
         changes[name] = rng.uniform(-20, 20)
     both = pair(**changes, motor_model=rng.choice([1, 2]), encoder_counts=rng.choice([0, 1, 500, 4096]))

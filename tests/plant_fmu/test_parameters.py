@@ -9,7 +9,7 @@ from plant_fmu.parameters import PARAMETER_SETS, QubeParameters, parameter_set
 
 IDENT = PARAMETER_SETS["ident"].parameters
 FIELDS = {f.name: f for f in fields(QubeParameters)}
-DAMPINGS = {"D_p", "D_r"}
+DAMPINGS = {"D_p", "D_r", "T_r"}
 
 
 def test_common_constants_are_the_papers():
@@ -31,6 +31,11 @@ def test_common_constants_are_the_papers():
 def test_damping_of_each_set(name, D_p, D_r):
     p = parameter_set(name).parameters
     assert (p.D_p, p.D_r) == (D_p, D_r)
+
+
+def test_no_named_set_has_dry_friction_and_none_is_the_default():
+    assert [entry.parameters.T_r for entry in PARAMETER_SETS.values()] == [0.0] * len(PARAMETER_SETS)
+    assert FIELDS["T_r"].default == 0.0
 
 
 @pytest.mark.parametrize("name", ["matrices", "ident"])

@@ -3,6 +3,7 @@
 #include <math.h>
 
 static const double PI = 3.14159265358979323846;
+static const double FRICTION_SPEED = 0.05; /* v_s: at this speed dry friction is half of T_r [rad/s] */
 static const double STEPS_PER_TIME_CONSTANT = 2.0;
 
 qube_coefficients qube_lump(const qube_params *p)
@@ -15,6 +16,7 @@ qube_coefficients qube_lump(const qube_params *p)
     c.varpi_2 = p->m_p * p->L_p * p->L_r / 2.0;
     c.gravity = p->m_p * p->g_p * p->L_p / 2.0;
     c.D_r = p->D_r;
+    c.T_r = p->T_r;
     c.D_p = p->D_p;
     c.k_m = p->k_m;
     c.k_e = p->back_emf ? p->k_m : 0.0;
@@ -28,10 +30,11 @@ static void accelerations(const qube_coefficients *c, double delta, double theta
                           double tau_p, double *theta_ddot, double *delta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
+    const double damping = c->D_r + c->T_r / (fabs(theta_dot) + FRICTION_SPEED);
     const double j_11 = c->J_11 + c->zeta_4 * s * s;
     const double j_12 = -c->varpi_2 * k;
     const double sk = c->zeta_4 * s * k;
-    const double r_1 = tau - (2.0 * sk * delta_dot + c->D_r) * theta_dot - c->varpi_2 * s * delta_dot * delta_dot;
+    const double r_1 = tau - (2.0 * sk * delta_dot + damping) * theta_dot - c->varpi_2 * s * delta_dot * delta_dot;
     const double r_2 = tau_p + sk * theta_dot * theta_dot - c->D_p * delta_dot + c->gravity * s;
     const double determinant = j_11 * c->J_22 - j_12 * j_12;
     *theta_ddot = (c->J_22 * r_1 - j_12 * r_2) / determinant;
@@ -65,7 +68,8 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
     const double r_1 = j_11 * rate[2] + j_12 * rate[3];
     const double r_2 = pendulum_torque + sk * v * v - c->D_p * w + c->gravity * s;
     const double dtau = inductance ? c->k_m * dx[4] : c->k_m * (dvoltage - c->k_e * dv) / c->R_m;
-    const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + c->D_r) * dv
+    const double slow = fabs(v) + FRICTION_SPEED, slope = c->D_r + c->T_r * FRICTION_SPEED / (slow * slow);
+    const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + slope) * dv
         - c->varpi_2 * (ds * w * w + 2.0 * s * w * dw);
     const double dr_2 = dtorque + dsk * v * v + 2.0 * sk * v * dv - c->D_p * dw + c->gravity * ds;
     out[0] = dv;
@@ -135,7 +139,7 @@ static void append_measurement(const qube_params *p, qube_state *s)
 static int admissible(const qube_params *p)
 {
     return p->m_p > 0.0 && p->L_p > 0.0 && p->J_p > 0.0 && p->D_p >= 0.0 && p->L_r > 0.0 && p->J_r > 0.0 && p->D_r >= 0.0
-        && p->g_p > 0.0 && p->R_m > 0.0 && p->k_m > 0.0 && p->L_m > 0.0;
+        && p->T_r >= 0.0 && p->g_p > 0.0 && p->R_m > 0.0 && p->k_m > 0.0 && p->L_m > 0.0;
 }
 
 qube_status qube_initialize(const qube_params *p, qube_state *s)

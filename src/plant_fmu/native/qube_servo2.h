@@ -3,7 +3,7 @@
  *
  *     J(q) q'' + C(q, q') q' + w(q) = [tau, tau_p]',   q = [theta, delta]',   delta = 0 upright,
  *
- * zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r. Pure functions of their arguments: no allocation, no globals, no
+ * zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r, and D_r + T_r/(|theta'| + v_s) in place of D_r. Pure functions of their arguments: no allocation, no globals, no
  * input or output, every loop bounded. The order of operations is that of the Python twin.
  */
 #ifndef QUBE_SERVO2_H
@@ -38,6 +38,7 @@ typedef struct {
     double L_r;                  /* length of the rotary arm [m] */
     double J_r;                  /* inertia of the rotary arm about the motor axis [kg.m2] */
     double D_r;                  /* viscous damping of the rotary arm [N.m.s/rad] */
+    double T_r;                  /* dry (Coulomb) friction torque of the rotary arm [N.m] */
     double g_p;                  /* gravitational acceleration [m/s2] */
     double R_m;                  /* terminal resistance of the motor [Ohm] */
     double k_m;                  /* electromotive force constant [V.s/rad], torque constant [N.m/A] */
@@ -100,6 +101,7 @@ typedef struct {
     double varpi_2; /* varpi/2 [kg.m2] */
     double gravity; /* m_p g_p L_p/2 [N.m] */
     double D_r;     /* [N.m.s/rad] */
+    double T_r;     /* [N.m] */
     double D_p;     /* [N.m.s/rad] */
     double k_m;     /* torque constant [N.m/A] */
     double k_e;     /* k_m with back-EMF, 0 without [V.s/rad] */

@@ -84,7 +84,10 @@ static const char *not_positive(const qube_params *p)
             return names[i];
         }
     }
-    return p->D_p >= 0.0 ? "D_r" : "D_p";
+    if (!(p->D_p >= 0.0)) {
+        return "D_p";
+    }
+    return p->D_r >= 0.0 ? "T_r" : "D_r";
 }
 
 static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,

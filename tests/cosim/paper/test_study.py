@@ -196,9 +196,9 @@ def test_draws_lie_within_their_ranges_and_reach_into_all_of_them(parameters, de
     assert abs(correlation).max() < 5 / math.sqrt(len(draws))  # drawn independently
 
 
-def test_the_uncertain_parameters_are_all_but_gravity_and_the_unused_inductance():
+def test_the_uncertain_parameters_are_all_but_gravity_dry_friction_and_the_unused_inductance():
     physical = {field.name for field in fields(QubeParameters)}
-    assert sorted(UNCERTAIN) == sorted(physical - {"g_p", "L_m"})
+    assert sorted(UNCERTAIN) == sorted(physical - {"g_p", "T_r", "L_m"})
 
 
 def test_random_swing_ups_are_log_uniform_within_their_ranges():

@@ -1,0 +1,343 @@
+"""The loop: measure, step the controller FMU, command, log; begun with checks and ended at 0 V, whatever happens."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import UserError
+from ..fmu import FmuError, Instance
+from ..master import Component
+from ..metrics import STABILIZING
+from ..native_loop import NativeLoop
+from ..results import Result, versions
+from . import checks
+from .device import LED_BALANCE, LED_IDLE, LED_STOPPED, LED_SWING_UP, Device, DeviceError
+from .guards import STALL_VOLTAGE, Action, Guard
+from .log import Layout, RowLog, percentiles, rows_of, to_result
+from .realtime import undisturbed
+from .scaling import HALF_TURN, RESOLUTION
+from .settings import Ending, Settings, Stopped
+from .simulated import HARD_LIMIT
+
+READ_TIMEOUT = 0.1
+"""How long the loop waits for a sample [s] before the link counts as lost."""
+
+LEDS = {1: LED_IDLE, 2: LED_SWING_UP, STABILIZING: LED_BALANCE}
+"""The device's light by the controller's mode."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a run ended: `reason` in words, `stop` its kind, `failures` what failed while stopping, the log, the signal."""
+
+    reason: str
+    stop: Ending
+    failures: tuple[str, ...]
+    result: Result
+    signal: int = 0
+
+
+@contextmanager
+def stop_signals() -> Iterator[list[int]]:
+    """Collect SIGINT, SIGTERM and SIGHUP in a list; the loop looks at it after each sample."""
+    received: list[int] = []
+    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+    earlier = {number: signal.signal(number, lambda n, _: received.append(n)) for number in numbers}
+    try:
+        yield received
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+
+
+class Controller:
+    """The controller FMU with its buffers: what the loop calls, and nothing else in between."""
+
+    def __init__(self, component: Component, period: float) -> None:
+        self.instance = instance = Instance("controller", Path(component.path))
+        for name, causality in (("theta", "input"), ("delta", "input"), ("voltage", "output")):
+            found = instance.variable(name)
+            if found.causality != causality or found.type != "Real":
+                raise UserError(
+                    f"{component.path}: {name} must be a real {causality}, found a {found.type} {found.causality}"
+                )
+        self.start = instance.checked_start(component.start)
+        sample_time = self.start.get("sample_time", period)
+        if not math.isclose(float(sample_time), period, rel_tol=1e-9):
+            raise UserError(f"controller.sample_time must be the loop's period, {period:g} s, found {sample_time:g} s")
+        outputs = [v for v in instance.variables.values() if v.causality == "output"]
+        self.layout = Layout(
+            tuple(v.name for v in outputs if v.type == "Real"),
+            tuple(v.name for v in outputs if v.type != "Real"),
+            {v.name: v.unit or "1" for v in outputs},
+        )
+        self.period = period
+        self._mode = self.layout.integers.index("mode") if "mode" in self.layout.integers else None
+        self._fault_mode = _item(instance, "mode", "fault")
+
+    def prepare(self) -> None:
+        """Instantiate and initialize up to the first measurement."""
+        self.instance.start(self.start, 0.0, math.inf)
+        (self._inputs,) = self.instance.ports(("theta", "delta"), "Set")
+        (self._voltage,) = self.instance.ports(("voltage",), "Get")
+        self._outputs = self.instance.ports((*self.layout.reals, *self.layout.integers), "Get")
+        nothing = np.empty((0, 0))
+        self._c_loop = NativeLoop(
+            [self.instance],
+            [[self._inputs]],
+            [[self._voltage]],
+            [[]],
+            [[]],
+            ([], nothing),
+            ([], nothing.astype(np.int64)),
+            nothing[:, :0],
+        )
+        self._step = self._c_loop.stepper(self.period)
+
+    def begin(self, theta: float, delta: float) -> tuple[float, ...]:
+        """Give the first measurement and leave initialization; return the outputs."""
+        self._inputs.values[0], self._inputs.values[1] = theta, delta
+        self.instance.transfer([self._inputs])
+        self.instance.run()
+        return self.outputs()
+
+    def command(self, theta: float, delta: float) -> float:
+        """Run one sample; return its voltage [V]."""
+        values = self._inputs.values
+        values[0], values[1] = theta, delta
+        if self._step():
+            failure = self._c_loop.failure()
+            assert failure is not None
+            self.instance.fail(failure[1], failure[2])
+        return self._voltage.values[0]
+
+    def outputs(self) -> tuple[float, ...]:
+        """Return all outputs in the order of the layout."""
+        self.instance.transfer(self._outputs)
+        return tuple(value for port in self._outputs for value in port.values)
+
+    def mode(self, outputs: tuple[float, ...]) -> int:
+        """Return the mode among the outputs; 0 for a controller without one."""
+        return 0 if self._mode is None else int(outputs[len(self.layout.reals) + self._mode])
+
+    def faulted(self, mode: int) -> bool:
+        """Whether `mode` says that the controller has given up."""
+        return mode == self._fault_mode
+
+    def close(self) -> None:
+        """Free the instance."""
+        self.instance.close()
+
+
+def _item(instance: Instance, name: str, item: str) -> int:
+    """Return the value of an enumeration's item; -1 where there is none."""
+    declared: Any = instance.variables[name].declaredType if name in instance.variables else None
+    return next((int(i.value) for i in getattr(declared, "items", ()) if i.name == item), -1)
+
+
+class Loop:
+    """One run of a controller on a device."""
+
+    def __init__(
+        self,
+        device: Device,
+        component: Component,
+        settings: Settings,
+        path: Path,
+        about: Mapping[str, Any] | None = None,
+        say: Callable[[str], None] = lambda _text: None,
+    ) -> None:
+        """Check the controller and make the log, `path` with the suffix .rows; `say` is told each stage."""
+        self.device, self.settings, self.say = device, settings, say
+        self.controller = Controller(component, settings.period)
+        self.steps = round(settings.duration * settings.rate)
+        self.about = {
+            "versions": dict(versions()),
+            "fmus": {
+                "controller": {
+                    "file": component.path.name,
+                    "model": self.controller.instance.description.modelName,
+                    "guid": self.controller.instance.description.guid,
+                }
+            },
+            "start_values": {"controller": self.controller.start},
+            "order": "controller-first",
+            "step": settings.period,
+            "every": 1,
+            "complete": False,
+            **(about or {}),
+        }
+        self.about["hil"] = {
+            "device": device.name,
+            "rate": settings.rate,
+            "limits": asdict(settings.limits),
+            **self.about.get("hil", {}),
+        }
+        self.log = RowLog(path.with_suffix(".rows"), self.controller.layout, self.steps + 1, self.about)
+        self.guard = Guard(
+            settings.limits,
+            settings.period,
+            stop_on_misses=settings.stop_on_misses,
+            stop_on_fall=settings.on_fall == "stop",
+        )
+        self.notes: list[str] = []
+
+    def run(self) -> Report:
+        """Run to the end, stop the device, and return what came of it; the log's file stays until `Report.result` is safe.
+
+        Raises UnavailableError or DeviceError where the device cannot be opened, and UserError where the controller cannot
+        be started; whatever happens later is the report's reason.
+        """
+        failures: list[str] = []
+        surprise: BaseException | None = None
+        with stop_signals() as received:
+            try:
+                self._open()
+                with undisturbed(real_time=self.device.real_time and self.settings.real_time) as self.notes:
+                    reason, kind = "", "fault"
+                    try:
+                        self._execute(received)
+                    except Stopped as stopped:
+                        reason, kind = str(stopped), stopped.kind
+                    except (DeviceError, FmuError, UserError) as error:
+                        reason, kind = str(error), "fault"
+                    except BaseException as error:
+                        reason, kind, surprise = f"internal error: {error!r}", "fault", error
+                    failures += self._stop(reason)
+            finally:
+                failures += self.device.close()
+                self.controller.close()
+        number = received[0] if kind == "signal" else 0
+        report = Report(reason, kind, tuple(failures), self._result(reason, kind, failures), number)
+        if surprise is not None:
+            raise surprise
+        return report
+
+    def _open(self) -> None:
+        try:
+            self.controller.prepare()
+            self.device.open()
+        except FmuError as error:
+            self.log.discard()
+            raise UserError(str(error)) from None
+        except BaseException:
+            self.log.discard()
+            raise
+
+    def _stop(self, reason: str) -> list[str]:
+        try:
+            return self.device.safe_stop(reason)
+        except Exception as error:  # the log must be written whatever happens here
+            return [f"the stop itself failed: {error!r}"]
+
+    def _execute(self, received: list[int]) -> None:
+        settings, device = self.settings, self.device
+        device.start(settings.period)
+        self.say(f"the device is open; it must rest for {settings.still:g} s")
+        checks.verify_still(device, settings, received)
+        device.enable(True)
+        if settings.sign_test:
+            self.say("sign test at low voltage")
+            checks.sign_test(device, settings, received)
+        self.say("running")
+        self._loop(received)
+
+    def _loop(self, received: list[int]) -> None:
+        device, controller = self.device, self.controller
+        read, write, check, append = device.read, device.write, self.guard.check, self.log.append
+        command, get_outputs, mode_of = controller.command, controller.outputs, controller.mode
+        now = time.perf_counter_ns
+        hold, limit, stop = Action.HOLD, Action.LIMIT, Action.STOP
+        sample = read(READ_TIMEOUT)
+        woke = now()
+        last = sample.tick + self.steps
+        outputs = controller.begin(RESOLUTION * -sample.arm, RESOLUTION * (sample.pendulum - HALF_TURN))
+        mode, u, applied, led = mode_of(outputs), 0.0, 0.0, LED_IDLE
+
+        def log(latency: int, step_time: int, stepped: int) -> None:
+            raw = sample.arm, sample.pendulum, sample.digital, sample.current, sample.tachometer
+            append(sample.tick, sample.due, woke, latency, step_time, stepped, *raw, applied, *outputs)
+
+        while True:
+            theta, delta = RESOLUTION * -sample.arm, RESOLUTION * (sample.pendulum - HALF_TURN)
+            action, reason = check(sample, theta, delta, stabilizing=mode == STABILIZING)
+            ended = _ending(sample.tick >= last, received, reason if action is stop else "")
+            if ended is not None:
+                log(0, 0, 0)
+                raise ended
+            try:
+                before = now()
+                if action is not hold:
+                    u = command(theta, delta)
+                    if not -HARD_LIMIT <= u <= HARD_LIMIT:
+                        raise Stopped(f"the controller commands {u} V, beyond ±{HARD_LIMIT:g} V or not a number")
+                    if action is limit:
+                        u = min(STALL_VOLTAGE, max(-STALL_VOLTAGE, u))
+                after = now()
+                write(-u, led)
+            except BaseException:
+                log(0, 0, 0)  # what the controller made of this sample was never in force
+                raise
+            done = now()
+            log(done - woke, after - before, int(action is not hold))
+            applied = u
+            if action is not hold:
+                outputs = get_outputs()
+                mode = mode_of(outputs)
+                led = LEDS.get(mode, LED_STOPPED)
+                if controller.faulted(mode):
+                    raise Stopped("the controller has given up: " + "; ".join(controller.instance.messages[-1:]))
+            sample = read(READ_TIMEOUT)
+            woke = now()
+
+    def _result(self, reason: str, kind: str, failures: list[str]) -> Result:
+        """Return the log as a result, with how the run ended."""
+        self.log.buffer.flush()
+        layout, _, rows = rows_of(self.log.path.read_bytes(), self.log.path)
+        about = {**self.about, "complete": kind == "complete"}
+        about["hil"] = {
+            **self.about["hil"],
+            "reason": reason,
+            "stop": kind,
+            "failures": failures,
+            "warnings": dict(self.guard.warnings),
+            "environment": list(self.notes),
+            "missed": self.guard.missed,
+            "dropped": self.guard.dropped,
+            "counters": dict(self.device.counters),
+        }
+        messages = self.controller.instance.messages
+        if messages:
+            about["messages"] = {"controller": messages}
+        result = to_result(layout, rows, about)
+        if len(rows):
+            about["hil"]["timing"] = timing(result)
+        return Result(result.time, result.signals, result.units, about)
+
+
+def _ending(over: bool, received: list[int], reason: str) -> Stopped | None:
+    """Return how the run ends at this sample; a fault comes before a signal and the end of the duration."""
+    if reason:
+        return Stopped(reason)
+    if received:
+        return Stopped(f"stopped by {signal.Signals(received[0]).name}", "signal")
+    return Stopped("the duration is over", "complete") if over else None
+
+
+def timing(result: Result) -> dict[str, dict[str, float]]:
+    """Return percentiles [s] of lateness, latency (sample to command) and the controller's step, over the whole run."""
+    stepped = result["hil.stepped"] == 1
+    return {
+        "lateness": percentiles(result["hil.lateness"]),
+        "latency": percentiles(result["hil.latency"][stepped]),
+        "step_time": percentiles(result["hil.step_time"][stepped]),
+    }

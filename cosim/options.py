@@ -1,0 +1,39 @@
+"""Options that several commands have, and how they are read."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .errors import UserError
+
+SCENARIOS = Path(__file__).parent / "scenarios"
+SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
+
+FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="ENTRY=VALUE",
+        help="Change an entry of the scenario, e.g. `run.duration=20`, `plant.parameters=hcs` or "
+        "`controller.start.a_min=0.7`; may be repeated.",
+    ),
+]
+
+
+def assignments(items: list[str] | None) -> list[tuple[str, Any]]:
+    """Return (name, value) of each NAME=VALUE; values read as TOML where they are, as plain text otherwise."""
+    pairs = []
+    for item in items or []:
+        name, equals, text = item.partition("=")
+        if not equals or not name:
+            raise UserError(f"--set takes NAME=VALUE, found {item!r}")
+        try:
+            pairs.append((name, tomllib.loads(f"value = {text}")["value"]))
+        except tomllib.TOMLDecodeError:
+            pairs.append((name, text))
+    return pairs

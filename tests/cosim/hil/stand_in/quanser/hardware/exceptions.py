@@ -1,0 +1,7 @@
+"""The exception of every HIL call."""
+
+from ..common import GenericError
+
+
+class HILError(GenericError):
+    """A HIL call failed."""

@@ -1,0 +1,454 @@
+"""The commands for hardware, each in a process of its own: runs, refusals, stops, a killed loop, and what a log is for."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.cli import main
+from cosim.errors import UserError
+from cosim.hil.log import LiveLog
+from cosim.hil.simulated import HOLD
+from cosim.results import Result
+from tests.cosim.command import started
+
+STAND_IN = Path(__file__).parent / "stand_in"
+PERIOD = 1e-3
+PATIENCE = 120
+"""How long a process may take [s], many times what it needs."""
+
+without_sdk = pytest.mark.skipif(importlib.util.find_spec("quanser") is not None, reason="Quanser's package is here")
+
+
+def finished(process):
+    """Return a process's exit code, output and error output."""
+    try:
+        out, err = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def qube_ihc(*args, cwd, **options):
+    return finished(started(*map(str, args), cwd=cwd, **options))
+
+
+@pytest.fixture
+def hil(tmp_path, fmus):
+    """Run `hil` in a temporary folder, with the log in `out`."""
+    return lambda *args, **options: qube_ihc("hil", "--fmus", fmus, "-o", "out", *args, cwd=tmp_path, **options)
+
+
+def with_stand_in(monkeypatch, folder, **changes):
+    """Let processes find the stand-in with a configuration; return a function that reads what it recorded."""
+    log = folder / "board.log"
+    file = folder / "board.json"
+    file.write_text(json.dumps({"clock": "steps", "log": str(log), **changes}), encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(STAND_IN), os.environ.get("PYTHONPATH")])))
+    monkeypatch.setenv("QUBE_STAND_IN", str(file))
+    return lambda: [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
+
+
+@pytest.fixture
+def on_stand_in(tmp_path, monkeypatch):
+    return lambda **changes: with_stand_in(monkeypatch, tmp_path, **changes)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, fmus):
+    """A run of 3 s in lockstep, for what reads logs; not to be changed."""
+    folder = tmp_path_factory.mktemp("run")
+    options = ("--lockstep", "--duration", "3", "-o", folder)
+    done = qube_ihc("hil", "--fmus", fmus, *options, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "run.csv"
+
+
+def files(folder):
+    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+
+
+def sentence(done, code=2):
+    """Return the one sentence of a refusal."""
+    lines = done.stderr.strip().splitlines()
+    assert (done.returncode, len(lines)) == (code, 1), done.stderr
+    assert lines[0].startswith("error: ")
+    return lines[0].removeprefix("error: ")
+
+
+def about(path):
+    return json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["metadata"]
+
+
+def row_count(folder):
+    """Return how many rows the log in a folder has so far."""
+    for path in folder.glob("*.rows"):
+        try:
+            live = LiveLog(path)
+        except (UserError, OSError, ValueError):  # not yet made, or gone
+            return 0
+        live.newest()
+        live.close()
+        return live.rows
+    return 0
+
+
+def wait_for_rows(process, folder, rows):
+    """Wait until the log has `rows`, or the process ends."""
+    until = time.monotonic() + PATIENCE
+    while process.poll() is None and row_count(folder) < rows:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+# --- runs
+
+
+def test_run_leaves_log_and_picture(run):
+    assert files(run.parent) == ["run.csv", "run.json", "run.png"]
+    result = Result.load(run)
+    assert np.round(result.time / PERIOD).tolist() == list(range(3001))
+    assert result.metadata["hil"]["stop"] == "complete"
+    assert {"plant.theta_encoder", "controller.voltage", "hil.latency"} <= set(result.signals)
+
+
+def test_earlier_run_stays(tmp_path, hil, run):
+    out = tmp_path / "out"
+    shutil.copytree(run.parent, out)
+    done = hil("--lockstep", "--duration", "0.2")
+    assert done.returncode == 0, done.stderr
+    assert "stopped at 0 V: the duration is over" in done.stdout
+    assert files(out) == [f"run{n}.{kind}" for n in ("", "_2") for kind in ("csv", "json", "png")]
+    assert (out / "run.csv").read_bytes() == run.read_bytes()
+    first, second = (Result.load(out / name)["controller.voltage"] for name in ("run.csv", "run_2.csv"))
+    assert second.tolist() == first[:201].tolist()
+
+
+def test_run_on_the_stand_in(tmp_path, hil, on_stand_in):
+    record = on_stand_in()
+    done = hil("--device", "qube", "--duration", "0.5")
+    assert done.returncode == 0, done.stderr
+    assert "while stopping" not in done.stdout
+    assert len(Result.load(tmp_path / "out" / "run.csv").time) == 501
+    events = record()
+    assert max(abs(event["values"][0]) for event in events if event["what"] == "AO0") > 0.1
+    last = {event["what"]: event["values"] for event in events}
+    assert (last["AO0"], last["DO0"], last["LED"]) == ([0.0], [0], [1.0, 0.0, 0.0])
+    assert (last["close"], last["exit"]) == ([0.0, 0], [0.0, 0, False])
+
+
+def test_fault_of_the_script_ends_the_run(tmp_path, hil):
+    done = hil("--lockstep", "--no-sign-test", "--duration", "2", "--faults", "amplifier-fault@0.8")
+    assert done.returncode == 1, done.stderr
+    assert "stopped at 0 V: the amplifier reports a fault" in done.stdout
+    path = tmp_path / "out" / "run.csv"
+    assert Result.load(path).time[-1] == pytest.approx(0.3)  # after 0.5 s of rest
+    assert (about(path)["hil"]["stop"], about(path)["complete"]) == ("fault", False)
+    assert not path.with_suffix(".rows").exists()
+
+
+@pytest.fixture(scope="module")
+def unplugged(tmp_path_factory, fmus):
+    """A run whose board lost its cable: the finished process and the log."""
+    folder = tmp_path_factory.mktemp("unplugged")
+    options = ("--device", "qube", "--no-sign-test", "--duration", "2", "-o", folder)
+    with pytest.MonkeyPatch.context() as patch:
+        with_stand_in(patch, folder, unplugged_at=0.8)
+        return qube_ihc("hil", "--fmus", fmus, *options, cwd=folder), folder / "run.csv"
+
+
+def test_unplugged_board_ends_the_run(unplugged):
+    done, path = unplugged
+    assert done.returncode == 1, done.stderr
+    assert "while stopping: setting 0 V: " in done.stdout
+    assert "check its USB cable" in done.stdout
+    assert len(about(path)["hil"]["failures"]) == 6
+
+
+def test_stop_that_failed_is_not_called_one_at_0_volts(unplugged):
+    assert "stopped at 0 V" not in unplugged[0].stdout
+
+
+def test_stop_that_failed_is_no_success(hil, on_stand_in):
+    third = 3  # off at the opening, on, off at the stop
+    on_stand_in(failures={"write": (1, -843, True), "write_digital": (third, -843, True)})
+    done = hil("--device", "qube", "--no-sign-test", "--duration", "0.1")
+    assert "while stopping: switching the amplifier off" in done.stdout
+    assert done.returncode == 1
+
+
+# --- refusals; most without a process, since each takes a second only to start
+
+
+@pytest.mark.parametrize(
+    ("args", "said"),
+    [
+        (("--device", "cube"), "'cube'; did you mean qube?"),
+        (("--faults", "arm-jmp@1"), "did you mean arm-jump?"),
+        (("--device", "qube", "--lockstep"), "--lockstep is for simulated devices"),
+        (("--rate", "0"), "--rate must lie in [100, 10000] Hz, found 0 Hz"),
+        (("--on-fall", "cry"), "--on-fall must be swing-up or stop, found 'cry'"),
+        (("--scenario", "tilt_ideal"), "a device measures with encoders, the scenario tilt_ideal says ideal"),
+        (("--device", "udp://127.0.0.1"), "no device listens at 127.0.0.1:18950; start one with `qube-ihc device"),
+    ],
+)
+def test_refusals(tmp_path, fmus, monkeypatch, capsys, args, said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["qube-ihc", "hil", "--fmus", str(fmus), "-o", "out", *args])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    shown = capsys.readouterr()
+    assert said in sentence(subprocess.CompletedProcess(args, int(ended.value.code or 0), shown.out, shown.err))
+    assert shown.out == ""
+    assert not (tmp_path / "out").exists() or files(tmp_path / "out") == []
+
+
+@without_sdk
+def test_board_without_the_sdk(tmp_path, hil):
+    text = sentence(hil("--device", "qube"))
+    assert "Quanser's Python package is not installed" in text
+    assert "install the Quanser SDK" in text
+    assert files(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"libhil_missing": True}, "its library is not"),
+        ({"identifiers": ()}, "no board was found; plug in its USB cable"),
+    ],
+)
+def test_board_that_cannot_be_had(tmp_path, hil, on_stand_in, changes, said):
+    on_stand_in(**changes)
+    assert said in sentence(hil("--device", "qube"))
+    assert files(tmp_path / "out") == []
+
+
+def test_fault_at_the_opening_is_one_sentence(hil, on_stand_in):
+    on_stand_in(digital_inputs=((0.0, 0, 1),))
+    done = hil("--device", "qube")
+    assert "the amplifier reports a fault" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_silent_address_is_one_sentence(hil):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        done = hil("--device", f"udp://127.0.0.1:{taken.getsockname()[1]}")
+    assert "does not answer" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits the size of files by the operating system")
+def test_log_without_room_does_not_spoil_the_folder(tmp_path, hil):
+    import resource  # of POSIX
+
+    def small():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    sentence(hil("--lockstep", "--duration", "10", preexec_fn=small))
+    assert files(tmp_path / "out") == []
+
+
+def test_device_refuses_a_taken_port(tmp_path, fmus):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        done = qube_ihc("device", "--fmus", fmus, "--listen", f"127.0.0.1:{port}", cwd=tmp_path)
+    assert sentence(done).startswith(f"cannot listen at 127.0.0.1:{port}: ")
+
+
+# --- signals and kills, with a clock: a busy machine may end such a run by the device's own hold
+
+
+def test_interrupt(tmp_path, fmus):
+    out = tmp_path / "out"
+    loop = started("hil", "--fmus", str(fmus), "--no-sign-test", "--duration", "60", "-o", "out", cwd=tmp_path)
+    wait_for_rows(loop, out, 100)
+    loop.send_signal(signal.SIGINT)
+    done = finished(loop)
+    logged = (out / "run.csv").exists()  # not where a stall ended the run in its checks
+    stop = about(out / "run.csv")["hil"]["stop"] if logged else "fault"
+    assert (done.returncode, stop) in {(130, "signal"), (1, "fault")}, done.stderr
+    said = {"signal": "stopped by SIGINT", "fault": "the device cut its voltage by itself"}[stop]
+    assert f"stopped at 0 V: {said}" in done.stdout
+    assert "while stopping" not in done.stdout
+    assert "Traceback" not in done.stderr
+    assert not list(out.glob("*.rows"))
+    if not logged:
+        return
+    result = Result.load(out / "run.csv")
+    assert stop == "fault" or len(result.time) + np.sum(result["hil.missed"]) >= 100
+
+
+@pytest.fixture
+def device(tmp_path, fmus):
+    """A device in a process of its own; (process, port, file of its record)."""
+    record = tmp_path / "rec.csv"
+    listen = ("--listen", "127.0.0.1:0", "--record", str(record))
+    process = started("device", "--fmus", str(fmus), *listen, cwd=tmp_path)
+    assert process.stdout is not None
+    found = re.fullmatch(r"listening at 127\.0\.0\.1:(\d+)\n", process.stdout.readline())
+    assert found
+    yield process, found[1], record
+    process.kill()
+    process.wait()
+
+
+def sessions(record):
+    """Return the device's record as (time, voltage, what), session by session."""
+    with record.open(encoding="utf-8", newline="") as file:
+        rows = [(float(row["time"]), float(row["voltage"]), row["what"]) for row in csv.DictReader(file)]
+    begins = [i for i, row in enumerate(rows) if row[2] == "open"]
+    return [rows[i:j] for i, j in zip(begins, [*begins[1:], len(rows)], strict=True)]
+
+
+def killed(tmp_path, fmus, port):
+    """Kill loops until one died of it and not of a stall of the machine; return (its folder, how many began)."""
+    for n in range(1, 6):
+        folder = tmp_path / f"out {n}"
+        options = ("--no-sign-test", "--duration", "60", "-o", str(folder))
+        loop = started("hil", "--fmus", str(fmus), "--device", f"udp://127.0.0.1:{port}", *options, cwd=tmp_path)
+        wait_for_rows(loop, folder, 150)
+        loop.kill()
+        if finished(loop).returncode == -signal.SIGKILL:
+            return folder, n
+    pytest.skip("the machine is too busy for a run with a clock")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX does")
+def test_killed_loop(tmp_path, fmus, device):
+    process, port, record = device
+    folder, begun = killed(tmp_path, fmus, port)
+    assert row_count(folder) >= 150
+    assert files(folder) == ["run.rows"]
+    time.sleep(1.5)  # then the device has ended the session
+    again = ("--device", f"udp://127.0.0.1:{port}", "--lockstep", "--duration", "0.2", "-o", folder)
+    done = qube_ihc("hil", "--fmus", fmus, *again, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    process.send_signal(signal.SIGINT)
+    assert finished(process).returncode == 130
+
+    recovered = re.search(r"recovered (\d+) rows of a run that was killed", done.stdout)
+    assert recovered
+    result = Result.load(folder / "run.csv")
+    assert len(result.time) == int(recovered[1]) >= 150
+    assert (result.metadata["recovered"], result.metadata["complete"]) == (True, False)
+    assert {"run_2.csv", "run_2.json"} <= set(files(folder))
+    assert not list(folder.glob("*.rows"))
+
+    *_, dead, clean = sessions(record)
+    assert len(sessions(record)) == begun + 1
+    before, cut, *after = dead[[row[2].startswith("cut: ") for row in dead].index(True) - 2 :]
+    assert (before[2], cut) == ("command", (cut[0], 0.0, "cut"))
+    assert before[1] != 0.0
+    assert cut[0] - before[0] <= HOLD + PERIOD + 1e-9
+    assert {row[1] for row in after} == {0.0}
+    assert [row[2] for row in clean][-2:] == ["stop: the duration is over", "close"]
+    assert clean[-1][1] == 0.0
+
+
+# --- check
+
+
+def findings(done):
+    """Return the (word, text) of each line."""
+    return [tuple(line.split(None, 1)) for line in done.stdout.strip().splitlines()]
+
+
+def test_check_of_the_simulated_device(tmp_path, hil):
+    done = hil("--check", "--lockstep")
+    found = findings(done)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {word for word, _ in found} == {"ok"}
+    for text in ("the controller IhcController.fmu needs", "amplifier off", "rest for", "periods missed", "signs: "):
+        assert sum(text in line for _, line in found) == 1
+    assert files(tmp_path) == []
+
+
+def test_check_of_the_stand_in(hil, on_stand_in):
+    record = on_stand_in()
+    done = hil("--check", "--device", "qube", "--no-real-time")
+    found = findings(done)
+    assert done.returncode == 0, done.stdout
+    assert {word for word, _ in found} == {"ok"}
+    assert found[0][1] == "Quanser's package and library are there"
+    last = {event["what"]: event["values"] for event in record()}
+    assert last["exit"] == [0.0, 0, False]
+    assert any(event["what"] == "AO0" and event["values"][0] < 0.0 for event in record())  # the pulse
+
+
+def test_check_of_an_encoder_the_other_way_round(hil):
+    # rest 0.5 s, timing 2 s, then the pulse: the arm's counts go up instead of down
+    done = hil("--check", "--lockstep", "--faults", "arm-jump@2.52=60:0.08")
+    assert done.returncode == 1, done.stdout
+    wrong = [text for word, text in findings(done) if word == "wrong"]
+    assert len(wrong) == 1
+    assert "the arm turned against the voltage's sign" in wrong[0]
+
+
+@without_sdk
+def test_check_without_the_sdk(hil):
+    done = hil("--check", "--device", "qube")
+    assert done.returncode == 1
+    ((word, text),) = findings(done)
+    assert word == "wrong"
+    assert "is not installed" in text
+
+
+# --- what a log is for
+
+
+def test_replay_is_exact(tmp_path, fmus, run):
+    done = qube_ihc("replay", run, "--fmus", fmus, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("exact: 3000 samples replayed")
+
+
+def test_replay_finds_one_digit(tmp_path, fmus, run):
+    with run.open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    column = head.index("controller.voltage")
+    row = next(i for i in range(700, 3000) if re.fullmatch(r"-?\d\.\d{9,}", rows[i][column]))
+    text = rows[row][column]
+    rows[row][column] = f"{text[:5]}{(int(text[5]) + 1) % 10}{text[6:]}"
+    changed = tmp_path / "changed.csv"
+    with changed.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([head, *rows])
+    changed.with_suffix(".json").write_bytes(run.with_suffix(".json").read_bytes())
+    done = qube_ihc("replay", changed, "--fmus", fmus, cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    assert re.match(rf"not exact: 1 of 300\d rows differ, the first at {row / 1000:g} s: voltage is ", done.stdout)
+
+
+def test_overlay_writes_its_pictures(tmp_path, fmus, run):
+    done = qube_ihc("overlay", run, "--fmus", fmus, "--begin", "2", "-o", "over", cwd=tmp_path)
+    assert (done.returncode, done.stderr.strip()) == (0, "")
+    written = files(tmp_path / "over")
+    assert {"simulation.csv", "simulation.json", "angles.png", "voltage.png"} <= set(written)
+    assert "RMS difference of plant.theta_encoder: " in done.stdout
+
+
+def test_identify_writes_parameters(tmp_path, run):
+    done = qube_ihc("identify", run, "--fit", "D_p", "-o", "found.toml", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert files(tmp_path) == ["found.toml"]
+    assert "D_p" in (tmp_path / "found.toml").read_text(encoding="utf-8")
+
+
+def test_log_that_is_missing(tmp_path):
+    assert sentence(qube_ihc("replay", "nothing.csv", cwd=tmp_path)) == "result file nothing.csv does not exist"
+    assert files(tmp_path) == []

@@ -1,0 +1,526 @@
+"""A run: the same as the simulation, logged, and at 0 V at its end however it ends."""
+
+import gc
+import math
+import os
+import signal
+import threading
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cosim.errors import UserError
+from cosim.hil.device import DeviceError, LinkLostError, UnavailableError
+from cosim.hil.loop import Loop, stop_signals, timing
+from cosim.hil.settings import Settings
+from cosim.hil.simulated import SimulatedDevice
+from cosim.scenario import run_scenario
+from tests.cosim.hil.rig import (
+    Between,
+    at_rest,
+    board_of,
+    lockstep,
+    loop_of,
+    one_sentence,
+    parts,
+    run,
+    scenario_of,
+    settings_of,
+)
+
+SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.fixture
+def handlers():
+    """Assert that the handlers are afterwards what they were before."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    assert {number: signal.getsignal(number) for number in SIGNALS} == before
+
+
+def about(report):
+    return report.result.metadata["hil"]
+
+
+# The same as the simulation
+
+
+@pytest.mark.parametrize(
+    ("duration", "step", "changes"),
+    [
+        (8.0, 1e-3, {}),  # swing-up, capture, balance
+        (1.5, 2e-3, {}),
+        (1.0, 5e-4, {"run__seed": 7}),
+        (1.5, 1e-3, {"controller__start__velocity_source": "kalman"}),
+        (1.5, 1e-3, {"run__seed": None, "plant__parameters": "hcs"}),
+    ],
+    ids=["all", "500 Hz", "2 kHz", "kalman", "hcs"],
+)
+def test_in_lockstep_a_run_is_the_simulation_to_the_last_bit(fmus, tmp_path, duration, step, changes):
+    scenario, folder = scenario_of(duration, step, **changes)
+    simulation = run_scenario(scenario, fmus, folder)
+    controller, _ = parts(fmus, duration, step, **changes)
+    device = lockstep(fmus, duration=duration, step=step, **changes)
+    loop = Loop(device, controller, settings_of(duration, 1.0 / step), tmp_path / "run")
+    report = loop.run()
+    loop.log.discard()
+    assert (report.stop, report.failures) == ("complete", ())
+    assert report.result.time.tobytes() == simulation.time.tobytes()
+    common = [name for name in simulation.signals if name in report.result.signals]
+    assert {"controller.voltage", "controller.mode", "plant.theta_encoder", "plant.delta_encoder"} <= set(common)
+    assert len(common) == 12
+    for name in common:
+        np.testing.assert_array_equal(report.result[name], simulation[name], err_msg=name)
+        assert report.result.units[name] == simulation.units[name]
+    if duration > 6.0:
+        assert set(np.unique(report.result["controller.mode"])) == {1, 2, 3}
+
+
+def test_a_result_says_what_it_was(fmus, tmp_path):
+    report = run(lockstep(fmus), fmus, tmp_path, 0.1)
+    metadata = report.result.metadata
+    assert metadata["complete"]
+    assert metadata["order"] == "controller-first"
+    assert (metadata["step"], metadata["every"]) == (1e-3, 1)
+    assert metadata["fmus"]["controller"]["file"] == "IhcController.fmu"
+    assert metadata["start_values"]["controller"]["sample_time"] == 1e-3
+    assert about(report)["device"] == "simulated device"
+    assert about(report)["limits"]["peak_current"] == 2.0
+    assert (about(report)["stop"], about(report)["reason"]) == ("complete", report.reason)
+    assert set(about(report)["timing"]) == {"lateness", "latency", "step_time"}
+    report.result.save(tmp_path / "run.csv")
+
+
+@pytest.mark.parametrize("duration", [0.001, 0.25])
+def test_rows_are_as_in_a_simulation(fmus, tmp_path, duration):
+    device = Between(lockstep(fmus))
+    result = run(device, fmus, tmp_path, duration).result
+    steps = round(duration * 1000)
+    np.testing.assert_array_equal(result.time, np.arange(steps + 1) * 1e-3)
+    assert result["hil.stepped"].tolist() == [1] * steps + [0]
+    assert not result["hil.missed"].any()
+    assert result["hil.latency"][-1] == result["hil.step_time"][-1] == 0.0
+    assert (result["hil.latency"][:-1] > 0.0).all()
+    # a row's voltage is the one in force until it
+    assert result["controller.voltage"][0] == result["hil.applied_voltage"][0] == 0.0
+    np.testing.assert_array_equal(result["hil.applied_voltage"][1:], np.negative(device.voltages))
+    np.testing.assert_array_equal(result["controller.voltage"], result["hil.applied_voltage"])
+
+
+def test_the_checks_before_are_not_in_the_log(fmus, tmp_path):
+    report = run(lockstep(fmus), fmus, tmp_path, 0.2, still=0.1, sign_test=True)
+    assert report.stop == "complete"
+    assert len(report.result.time) == 201
+    assert report.result.time[0] == 0.0
+    assert not report.result["hil.missed"].any()
+
+
+def test_stages_are_said(fmus, tmp_path):
+    said = []
+    controller, _ = parts(fmus, 0.01)
+    loop = Loop(
+        lockstep(fmus),
+        controller,
+        settings_of(0.01, still=0.01, sign_test=True),
+        tmp_path / "run",
+        {"scenario": {"name": "x"}},
+        said.append,
+    )
+    report = loop.run()
+    loop.log.discard()
+    assert [text.split()[0] for text in said] == ["the", "sign", "running"]
+    assert report.result.metadata["scenario"] == {"name": "x"}
+
+
+def test_the_file_stays_until_the_result_is_safe(fmus, tmp_path):
+    loop = loop_of(lockstep(fmus), fmus, tmp_path, 0.01)
+    loop.run()
+    assert loop.log.path == tmp_path / "run.rows"
+    assert loop.log.path.exists()
+    loop.log.discard()
+
+
+# Ends
+
+
+ENDS = [
+    ("", "complete", "duration is over"),
+    ("amplifier-fault@0.2", "fault", "amplifier"),
+    ("stall-error@0.2", "fault", "stalled too long"),
+    ("silent@0.2", "fault", "nothing came"),
+    ("read-error@0.2", "fault", "could not be read"),
+    ("write-error@0.2", "fault", "refused the voltage"),
+    ("current@0.2=2.1", "fault", "2.10 A"),
+    ("current@0.2=-2.1", "fault", "2.10 A"),
+    ("current@0.2=nan", "fault", "not finite"),
+    ("arm-jump@0.2=5000:0.01", "fault", "two encoder readings"),
+    ("pendulum-jump@0.2=-5000:0.002", "fault", "two encoder readings"),
+    ("late@0.2=5", "fault", "5 periods missed"),
+    ("late@0.2=30", "fault", "30 periods missed"),
+    ("push@0.2=1e300", "fault", "doStep"),
+]
+
+
+@pytest.mark.parametrize("checked", [False, True], ids=["", "checked"])
+@pytest.mark.parametrize(("script", "stop", "said"), ENDS, ids=[e[0] or "complete" for e in ENDS])
+def test_however_a_run_ends_the_motor_is_at_0_V(fmus, tmp_path, script, stop, said, checked):
+    before = 0.51 if checked else 0.0  # the sign test lasts that long at one voltage
+    moved = script.replace("@0.2", f"@{before + 0.2 + 0.1 * checked:g}")
+    device = lockstep(fmus, moved)
+    report = run(device, fmus, tmp_path, 0.4, still=0.1 * checked, sign_test=checked)
+    assert report.stop == stop
+    assert said in one_sentence(report.reason)
+    at_rest(device.board)
+    assert device.board.record[-1].what == "close"
+    assert report.result.metadata["complete"] == (stop == "complete")
+    assert (len(report.result.time) == 401) == (stop == "complete")
+    assert np.any(report.result["hil.applied_voltage"] != 0.0)
+    if script.startswith("silent"):
+        assert len(report.failures) == 1
+    else:
+        assert report.failures == ()
+        assert device.board.record[-2].what == f"stop: {report.reason}"
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        "amplifier-fault@0.05",
+        "read-error@0.05",
+        "write-error@0.05",
+        "current@0.05=nan",
+        "silent@0.05",
+        "arm-jump@0.05=9",
+    ],
+)
+def test_a_fault_in_the_checks_ends_the_run_before_it_began(fmus, tmp_path, script):
+    device = Between(lockstep(fmus, script))
+    report = run(device, fmus, tmp_path, 0.4, still=0.1, sign_test=True)
+    assert report.stop == "fault"
+    one_sentence(report.reason)
+    assert len(report.result.time) == 0
+    assert report.result.metadata["complete"] is False
+    assert "on" not in device.calls
+    assert set(device.voltages) <= {0.0}
+    at_rest(device.device.board)
+
+
+def test_the_stop_comes_last_and_once(fmus, tmp_path):
+    for script in ("", "amplifier-fault@0.01", "read-error@0.01", "write-error@0.01"):
+        device = Between(lockstep(fmus, script))
+        run(device, fmus, tmp_path, 0.02)
+        assert device.calls[:3] == ["open", "start", "on"]
+        assert device.calls[-2:] == ["safe_stop", "close"]
+        assert device.calls.count("safe_stop") == device.calls.count("close") == 1
+
+
+def test_the_last_row_tells_why(fmus, tmp_path):
+    report = run(lockstep(fmus, "amplifier-fault@0.2"), fmus, tmp_path, 0.4)
+    assert report.result.time[-1] == 0.2
+    assert report.result["hil.digital"][-1] == 1
+    assert report.result["hil.stepped"][-1] == 0
+    report = run(lockstep(fmus, "current@0.2=3"), fmus, tmp_path, 0.4)
+    assert report.result["plant.current"][-1] == -3.0
+
+
+def test_one_dropped_sample_holds_the_voltage_and_is_no_end(fmus, tmp_path):
+    device = Between(lockstep(fmus, "arm-jump@0.2=500"))
+    report = run(device, fmus, tmp_path, 0.4)
+    assert report.stop == "complete"
+    assert (about(report)["dropped"], len(about(report)["warnings"])) == (1, 1)
+    result = report.result
+    assert np.flatnonzero(result["hil.stepped"] == 0).tolist() == [200, 400]
+    assert device.voltages[200] == device.voltages[199]
+    assert result["hil.applied_voltage"][201] == result["hil.applied_voltage"][200]
+    assert result["controller.voltage"][201] == result["controller.voltage"][200]
+    assert device.voltages[201] != device.voltages[200]
+
+
+@pytest.mark.parametrize("u", [8.0, -8.0, 4.0])
+def test_a_stalled_motor_gets_at_most_5_V(fmus, tmp_path, u):
+    device = Between(lockstep(fmus, "stall@0.01=1:0.01"))
+    loop = loop_of(device, fmus, tmp_path, 0.03)
+    loop.controller.command = lambda theta, delta: u
+    report = loop.run()
+    loop.log.discard()
+    limited = math.copysign(min(abs(u), 5.0), u)
+    assert device.voltages == [-u] * 10 + [-limited] * 10 + [-u] * 10
+    assert report.result["hil.applied_voltage"].tolist() == [0.0] + [u] * 10 + [limited] * 10 + [u] * 10
+    assert len(about(report)["warnings"]) == 1
+
+
+def test_late_samples_are_missed_periods(fmus, tmp_path):
+    report = run(lockstep(fmus, "late@0.1=2,late@0.2=4"), fmus, tmp_path, 0.4)
+    assert report.stop == "complete"
+    assert about(report)["missed"] == 6
+    assert np.sum(report.result["hil.missed"]) == 6
+    assert report.result.time[-1] == 0.4
+    assert len(report.result.time) == 401 - 6
+
+
+def test_a_last_sample_that_is_late_ends_the_run(fmus, tmp_path):
+    report = run(lockstep(fmus, "late@0.398=4"), fmus, tmp_path, 0.4)
+    assert report.stop == "complete"
+    assert report.result.time[-1] > 0.4
+
+
+def test_misses_may_be_a_warning(fmus, tmp_path):
+    report = run(lockstep(fmus, "late@0.1=12"), fmus, tmp_path, 0.4, stop_on_misses=False)
+    assert report.stop == "complete"
+    assert about(report)["missed"] == 12
+    assert len(about(report)["warnings"]) == 1
+
+
+def test_a_fall_ends_the_run_only_where_asked_to(fmus, tmp_path):
+    script = "push@7=0.05:0.05"
+    free = replace(Settings().limits, arm=100.0, arm_warning=99.0)
+    assert run(lockstep(fmus, script), fmus, tmp_path, 7.5, limits=free).stop == "complete"
+    report = run(lockstep(fmus, script), fmus, tmp_path, 7.5, limits=free, on_fall="stop")
+    assert report.stop == "fault"
+    assert "fell" in report.reason
+
+
+def test_an_arm_that_goes_too_far_is_stopped(fmus, tmp_path):
+    limits = replace(Settings().limits, arm=math.radians(5.0), arm_warning=math.radians(2.0))
+    device = lockstep(fmus)
+    report = run(device, fmus, tmp_path, 2.0, limits=limits)
+    assert report.stop == "fault"
+    assert "beyond ±5°" in report.reason
+    assert list(about(report)["warnings"]) == ["arm beyond ±2°"]
+    at_rest(device.board)
+
+
+@pytest.mark.parametrize("error", [ValueError("odd"), ZeroDivisionError(), KeyError("x"), SystemExit(3)])
+def test_an_error_of_the_program_stops_the_device_and_is_raised(fmus, tmp_path, error, handlers):
+    def fail(n, sample):
+        if n == 100:
+            raise error
+
+    device = Between(lockstep(fmus), fail)
+    loop = loop_of(device, fmus, tmp_path, 0.4)
+    with pytest.raises(type(error)) as caught:
+        loop.run()
+    assert caught.value is error
+    at_rest(device.device.board)
+    assert device.calls[-2:] == ["safe_stop", "close"]
+    assert loop.log.rows == 100  # the log is kept
+    assert loop.log.path.exists()
+    loop.log.discard()
+
+
+@pytest.mark.parametrize("error", [DeviceError("broken"), LinkLostError("gone"), UserError("wrong")])
+def test_an_error_of_the_device_is_the_reason(fmus, tmp_path, error):
+    def fail(n, sample):
+        if n == 100:
+            raise error
+
+    device = Between(lockstep(fmus), fail)
+    report = run(device, fmus, tmp_path, 0.4)
+    assert (report.stop, report.reason) == ("fault", str(error))
+    assert len(report.result.time) == 100
+    at_rest(device.device.board)
+
+
+def test_failures_while_stopping_are_reported(fmus, tmp_path):
+    class Stubborn(Between):
+        def safe_stop(self, reason):
+            super().safe_stop(reason)
+            return ["the light did not turn red"]
+
+    report = run(Stubborn(lockstep(fmus)), fmus, tmp_path, 0.01)
+    assert report.failures == ("the light did not turn red",)
+    assert about(report)["failures"] == ["the light did not turn red"]
+
+
+@pytest.mark.parametrize("voltage", [math.nan, math.inf, 15.1, -16.0])
+def test_a_voltage_that_no_controller_may_command_ends_the_run(fmus, tmp_path, voltage):
+    device = lockstep(fmus)
+    loop = loop_of(device, fmus, tmp_path, 0.4)
+    command = loop.controller.command
+    loop.controller.command = lambda theta, delta: voltage if device.board.sample.tick == 50 else command(theta, delta)
+    report = loop.run()
+    loop.log.discard()
+    assert report.stop == "fault"
+    assert "the controller commands" in report.reason
+    assert all(abs(e.voltage) <= 15.0 for e in device.board.record)
+    at_rest(device.board)
+
+
+def test_a_controller_that_gives_up_ends_the_run(fmus, tmp_path):
+    device = lockstep(fmus)
+    loop = loop_of(device, fmus, tmp_path, 0.4)
+    command = loop.controller.command
+    loop.controller.command = lambda theta, delta: command(math.nan if device.board.sample.tick == 50 else theta, delta)
+    report = loop.run()
+    loop.log.discard()
+    assert report.stop == "fault"
+    one_sentence(report.reason)
+    at_rest(device.board)
+    assert len(report.result.time) == 51
+
+
+# Signals
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_ends_the_run_after_the_current_sample(fmus, tmp_path, number, handlers):
+    device = Between(lockstep(fmus), lambda n, sample: os.kill(os.getpid(), number) if n == 100 else None)
+    report = run(device, fmus, tmp_path, 0.4)
+    assert (report.stop, report.signal) == ("signal", number)
+    assert number.name in report.reason
+    assert report.result.time[-1] in (0.1, 0.101)
+    assert report.result["hil.stepped"][-1] == 0
+    at_rest(device.device.board)
+
+
+def test_a_signal_from_elsewhere_ends_a_run_in_real_time(fmus, tmp_path, handlers):
+    device = SimulatedDevice(board_of(fmus))
+    timer = threading.Timer(0.15, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    report = run(device, fmus, tmp_path, 20.0, 200.0, stop_on_misses=False)
+    timer.join()
+    assert report.stop in ("signal", "fault")  # a stall of the machine beyond the hold time is a fault
+    if report.stop == "signal":
+        assert report.signal == signal.SIGINT
+    at_rest(device.board)
+
+
+def test_a_signal_in_the_checks_ends_the_run_before_it_began(fmus, tmp_path, handlers):
+    device = Between(lockstep(fmus), lambda n, sample: os.kill(os.getpid(), signal.SIGTERM) if n == 20 else None)
+    report = run(device, fmus, tmp_path, 0.4, still=0.1)
+    assert (report.stop, report.signal) == ("signal", signal.SIGTERM)
+    assert len(report.result.time) == 0
+    at_rest(device.device.board)
+
+
+def test_the_first_of_two_signals_counts_and_a_fault_counts_more(fmus, tmp_path, handlers):
+    def both(n, sample):
+        if n == 100:
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    report = run(Between(lockstep(fmus), both), fmus, tmp_path, 0.4)
+    assert report.stop == "signal"
+    assert report.signal in (signal.SIGTERM, signal.SIGINT)  # delivered together, in the order of their numbers
+    report = run(Between(lockstep(fmus, "amplifier-fault@0.1"), both), fmus, tmp_path, 0.4)
+    assert (report.stop, report.signal) == ("fault", 0)
+
+
+def test_signals_are_only_collected(handlers):
+    with stop_signals() as received:
+        for number in SIGNALS:
+            os.kill(os.getpid(), number)
+        assert received == SIGNALS
+
+
+# Around a run
+
+
+def test_collection_and_scheduling_are_as_before(fmus, tmp_path):
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, gc.isenabled(), gc.get_freeze_count()
+    during = []
+    device = Between(
+        SimulatedDevice(board_of(fmus)), lambda n, sample: during.append((gc.isenabled(), os.sched_getscheduler(0)))
+    )
+    report = run(device, fmus, tmp_path, 0.05, 200.0, real_time=True, stop_on_misses=False)
+    after = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, gc.isenabled(), gc.get_freeze_count()
+    assert after == before
+    assert not any(enabled for enabled, _ in during)
+    notes = about(report)["environment"]
+    assert len(notes) == 2
+    obtained = notes[0].startswith("real-time scheduling")
+    assert {policy for _, policy in during} == {os.SCHED_FIFO if obtained else before[0]}
+    at_rest(device.device.board)
+
+
+def test_lockstep_asks_for_no_scheduling(fmus, tmp_path):
+    assert about(run(lockstep(fmus), fmus, tmp_path, 0.01, real_time=True))["environment"] == []
+
+
+def test_collection_that_was_off_stays_off(fmus, tmp_path):
+    gc.disable()
+    try:
+        run(lockstep(fmus), fmus, tmp_path, 0.01)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+
+
+@pytest.mark.parametrize("error", [UnavailableError("not there"), DeviceError("broken"), OSError("odd")])
+def test_a_device_that_cannot_be_opened_leaves_no_log(fmus, tmp_path, error, handlers):
+    class Missing(Between):
+        def open(self):
+            raise error
+
+    device = Missing(lockstep(fmus))
+    loop = loop_of(device, fmus, tmp_path, 0.4)
+    with pytest.raises(type(error)) as caught:
+        loop.run()
+    assert caught.value is error
+    assert not list(tmp_path.iterdir())
+    assert device.calls == ["close"]
+
+
+def test_a_plant_that_cannot_begin_leaves_no_log(fmus, tmp_path):
+    loop = loop_of(lockstep(fmus, plant__start__L_m=0.0), fmus, tmp_path, 0.4)
+    with pytest.raises(DeviceError) as caught:
+        loop.run()
+    one_sentence(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_device_that_cannot_start_is_stopped(fmus, tmp_path):
+    class Lame(Between):
+        def start(self, period):
+            raise DeviceError("no clock")
+
+    device = Lame(lockstep(fmus))
+    report = run(device, fmus, tmp_path, 0.4)
+    assert (report.stop, report.reason) == ("fault", "no clock")
+    at_rest(device.device.board)
+
+
+# Controllers that cannot be run
+
+
+@pytest.mark.parametrize("name", ["plant", "tiny"])
+def test_a_controller_of_another_interface_is_refused(fmus, tmp_path, tiny, name):
+    component = tiny("controller") if name == "tiny" else parts(fmus)[1]
+    with pytest.raises(UserError) as caught:
+        Loop(lockstep(fmus), component, settings_of(), tmp_path / "run")
+    assert "theta" in one_sentence(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("rate", [500.0, 1001.0, 999.9999])
+def test_the_controllers_sample_time_is_the_loops_period(fmus, tmp_path, rate):
+    with pytest.raises(UserError, match="sample_time") as caught:
+        Loop(lockstep(fmus), parts(fmus)[0], settings_of(1.0, rate), tmp_path / "run")
+    assert "0.001" in one_sentence(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_unknown_start_values_are_refused(fmus, tmp_path):
+    with pytest.raises(UserError, match="swing_up_energy_gian"):
+        Loop(
+            lockstep(fmus),
+            parts(fmus, controller__start__swing_up_energy_gian=1.0)[0],
+            settings_of(),
+            tmp_path / "run",
+        )
+
+
+def test_timing_is_of_the_rows_that_stepped(made_result):
+    result = made_result(
+        [0.0, 1.0, 2.0],
+        hil_stepped=[1, 1, 0],
+        hil_lateness=[1e-6, 2e-6, 3e-6],
+        hil_latency=[5e-6, 7e-6, 0.0],
+        hil_step_time=[4e-6, 6e-6, 0.0],
+    )
+    found = timing(result)
+    assert found["lateness"]["max"] == 3e-6
+    assert found["latency"]["p50"] == pytest.approx(6e-6)
+    assert found["step_time"]["p50"] == pytest.approx(5e-6)

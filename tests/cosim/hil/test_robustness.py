@@ -1,0 +1,80 @@
+"""The device's swing-up: every draw captures in time and within the cable's range."""
+
+import math
+
+import numpy as np
+import pytest
+
+from cosim.campaign import run_all
+from cosim.hil import robustness
+from cosim.hil.robustness import CABLE, LATEST, SETS, STEPS, Key, Outcome, jobs, judged, main, table
+from plant_fmu.parameters import PARAMETER_SETS
+
+DRAWS = 100
+
+
+@pytest.fixture(scope="module")
+def outcomes(fmus):
+    return run_all(jobs(DRAWS, seed=7), fmus, judged)
+
+
+def test_every_draw_is_captured_in_time_and_kept(outcomes):
+    assert len(outcomes) == DRAWS * len(SETS) * len(STEPS)
+    assert [key for key, outcome in outcomes.items() if not outcome.good] == []
+
+
+def test_the_arm_stays_within_the_cable(outcomes):
+    assert max(o.arm for o in outcomes.values()) < CABLE == pytest.approx(1.8326, abs=1e-4)
+    assert max(o.capture for o in outcomes.values()) < LATEST == 5.0
+
+
+def test_the_usual_swing_up_would_not_do(fmus):
+    found = run_all(jobs(4, seed=7, name="swing_up"), fmus, judged)
+    assert not all(o.good for o in found.values())
+
+
+def test_draws_are_within_their_ranges_and_equal_at_all_steps():
+    found = {job.key: job.scenario.plant.start | {"seed": job.scenario.run.seed or 0} for job in jobs(20, seed=3)}
+    for name in SETS:
+        usual = PARAMETER_SETS[name].parameters
+        for draw in range(20):
+            one, two = (found[Key(name, step, draw)] for step in STEPS)
+            assert one == two
+            for damping in ("D_r", "D_p"):
+                value = getattr(usual, damping)
+                assert 0.8 * value <= float(one[damping]) <= 1.2 * value
+            if draw % 2 == 0:
+                assert one["delta_0"] == -math.pi
+                assert one["theta_0"] == one["delta_dot_0"] == 0.0
+    assert len({start["seed"] for start in found.values()}) == 20 * len(SETS)
+
+
+@pytest.mark.parametrize(
+    ("changes", "good"),
+    [
+        ({}, True),
+        ({"theta": 1.9}, False),
+        ({"delta": 0.2}, False),
+        ({"mode": 2}, False),
+        ({"late": 5.5}, False),
+        ({"lost": True}, False),
+    ],
+)
+def test_what_counts_as_good(made_result, changes, good):
+    time = np.linspace(0.0, 10.0, 101)
+    mode = np.where(time < changes.get("late", 2.0), 2, changes.get("mode", 3))
+    if changes.get("lost"):
+        mode[60:65] = 2
+    result = made_result(time, changes.get("theta", 0.5), plant_delta=changes.get("delta", 0.0), controller_mode=mode)
+    assert judged(result).good is good
+
+
+def test_the_table_names_each_cell(monkeypatch, capsys):
+    found = {Key(name, step, 0): Outcome(1.5, 0.9, good=name != "hcs") for name in SETS for step in STEPS}
+    lines = table(found).splitlines()
+    assert len(lines) == 1 + len(SETS) * len(STEPS)
+    assert "1/1" in lines[1]
+    assert "0/1" in lines[-1]
+    monkeypatch.setattr(robustness, "run_all", lambda *_: found)
+    assert main(["--draws", "1"]) == 1
+    assert capsys.readouterr().out.splitlines() == lines
