@@ -12,17 +12,19 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from cosim.export import Kind, export_units
 from cosim.hil.device import Device
 from cosim.hil.log import percentiles
 from cosim.hil.loop import Loop
-from cosim.hil.realtime import REFERENCE_MISSES, REFERENCE_TIME
+from cosim.hil.realtime import REFERENCE_MISSES, REFERENCE_TIME, undisturbed
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
 from cosim.hil.udp import UdpDevice, address_of
 from cosim.master import Component
+from cosim.metrics import kept_upright
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
 from ihc_fmu.start_values import default_design
@@ -74,9 +76,10 @@ class Bench:
 def table(bench: Bench, seconds: float) -> None:
     """Print misses and lateness of each cell."""
     print(
-        f"periods missed and lateness in us, {seconds:g} s a cell; in brackets a bare loop's misses on another machine"
+        f"{seconds:g} s a cell; periods missed by the program, by a loop that only sleeps, and that elsewhere; lateness [us]"
     )
-    print(" ".join(f"{heading:>10}" for heading in ("device", "rate", "real-time", "missed", "", *PERCENTILES)))
+    headings = ("device", "rate", "real-time", "balanced", "missed", "bare loop", "elsewhere", *PERCENTILES)
+    print(" ".join(f"{heading:>9}" for heading in headings))
     for device in ("sim", "udp"):
         for rate in RATES:
             for real_time in (False, True):
@@ -85,9 +88,27 @@ def table(bench: Bench, seconds: float) -> None:
                     continue
                 elsewhere = REFERENCE_MISSES[rate, real_time] * seconds / REFERENCE_TIME
                 late = percentiles(result["hil.lateness"])
-                cells = [device, f"{rate:g}", "yes" if real_time else "no", result.metadata["hil"]["missed"]]
-                cells += [f"({elsewhere:.0f})", *(f"{1e6 * late[name]:.0f}" for name in PERCENTILES)]
-                print(" ".join(f"{cell:>10}" for cell in cells), flush=True)
+                cells = [device, f"{rate:g}", "yes" if real_time else "no", "yes" if kept_upright(result) else "no"]
+                cells += [result.metadata["hil"]["missed"], bare_loop(rate, seconds, real_time=real_time)]
+                cells += [f"{elsewhere:.0f}", *(f"{1e6 * late[name]:.0f}" for name in PERCENTILES)]
+                print(" ".join(f"{cell:>9}" for cell in cells), flush=True)
+
+
+def bare_loop(rate: float, seconds: float, *, real_time: bool) -> int:
+    """Return how many periods a loop misses that only sleeps, in this process and now."""
+    period = round(1e9 / rate)
+    missed, k = 0, 0
+    with undisturbed(real_time=real_time):
+        begin = time.perf_counter_ns()
+        while k < seconds * rate:
+            k += 1
+            ahead = begin + k * period - time.perf_counter_ns()
+            if ahead > 0:
+                time.sleep(ahead * 1e-9)
+            behind = max(0, (time.perf_counter_ns() - begin - k * period) // period)
+            missed += behind
+            k += behind
+    return missed
 
 
 def latency_ratio(bench: Bench, seconds: float, rounds: int) -> None:
@@ -99,7 +120,7 @@ def latency_ratio(bench: Bench, seconds: float, rounds: int) -> None:
     for _ in range(rounds):
         for kind in Kind:
             result = bench.run("sim", 1000.0, seconds, kind)
-            found[kind].append(percentiles(result["hil.latency"][result["hil.stepped"] == 1])["p50"])
+            found[kind].append(percentiles(result["hil.latency"][result["hil.steps"] == 1])["p50"])
     for kind, values in found.items():
         print(f"  {kind:7} p50 {1e6 * statistics.median(values):.1f} us")
     ratios = [slow / fast for slow, fast in zip(found[Kind.python], found[Kind.native], strict=True)]

@@ -154,7 +154,7 @@ def export(
         Path | None, typer.Option(help="Design file of the `design` command; none: the default design.")
     ] = None,
     parameters: Annotated[
-        str, typer.Option(help="Parameter set of the plant: matrices, ident, hcs, listed, swapped.")
+        str, typer.Option(help="Parameter set of the plant: matrices, ident, hcs, listed, swapped, or a TOML file.")
     ] = "ident",
     nominal: Annotated[str, typer.Option(help="Parameter set of the controller's nominal model.")] = "ident",
     smc: Annotated[

@@ -26,9 +26,9 @@ from .scaling import RESOLUTION, delta_of, theta_of
 MAGIC = b"QUBEROWS"
 _HEAD = struct.Struct("<8sQ")
 
-TIMING = ("tick", "due", "woke", "latency", "step_time", "stepped", "arm", "pendulum", "digital")
+TIMING = ("tick", "due", "woke", "latency", "step_time", "steps", "arm", "pendulum", "digital")
 """Whole-number columns of a row: the device's tick; when its sample was due and when it was read [ns], from the sample to
-the command and within the controller [ns]; whether the controller was stepped; raw counts and bits."""
+the command and within the controller [ns]; how often the controller was stepped; raw counts and bits."""
 MEASURED = ("current", "tachometer", "applied_voltage")
 """Real columns of a row: [A], [counts/s], and the voltage that was in force until this row [V]."""
 
@@ -176,7 +176,7 @@ def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Res
     """Return the rows as a simulation's result has them, and the timing beside.
 
     time = ticks since the first row times the period. A row has what was measured at its time and the controller's
-    outputs in force until then, as in a simulation; `hil.stepped` says whether its measurement went to the controller.
+    outputs in force until then, as in a simulation; `hil.steps` says how often the controller was stepped on it.
     """
     if not len(rows):
         return Result(np.zeros(0), {}, {}, dict(about))
@@ -198,7 +198,7 @@ def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Res
     add("hil.latency", "s", rows["latency"] * 1e-9)
     add("hil.step_time", "s", rows["step_time"] * 1e-9)
     add("hil.missed", "1", np.diff(ticks, prepend=-1) - 1)
-    add("hil.stepped", "1", rows["stepped"].copy())
+    add("hil.steps", "1", rows["steps"].copy())
     add("hil.digital", "1", rows["digital"].copy())
     return Result(ticks * about["step"], signals, units, dict(about))
 

@@ -31,6 +31,9 @@ from .simulated import HARD_LIMIT
 READ_TIMEOUT = 0.1
 """How long the loop waits for a sample [s] before the link counts as lost."""
 
+MOST_CAUGHT_UP = 10
+"""Missed samples that the controller is given afterwards, at most."""
+
 LEDS = {1: LED_IDLE, 2: LED_SWING_UP, STABILIZING: LED_BALANCE}
 """The device's light by the controller's mode."""
 
@@ -119,6 +122,17 @@ class Controller:
             assert failure is not None
             self.instance.fail(failure[1], failure[2])
         return self._voltage.values[0]
+
+    def catch_up(self, earlier: tuple[float, float], theta: float, delta: float, periods: int) -> int:
+        """Run the samples that were missed since the measurement `earlier`, `periods` ago, on the line to the new one.
+
+        So the controller's clock and its filters stay right. Returns how many: all but the new one, at most MOST_CAUGHT_UP.
+        """
+        missed = min(periods - 1, MOST_CAUGHT_UP)
+        for k in range(1, missed + 1):
+            share = k / (missed + 1)
+            self.command(earlier[0] + share * (theta - earlier[0]), earlier[1] + share * (delta - earlier[1]))
+        return missed
 
     def outputs(self) -> tuple[float, ...]:
         """Return all outputs in the order of the layout."""
@@ -262,10 +276,11 @@ class Loop:
         last = sample.tick + self.steps
         outputs = controller.begin(RESOLUTION * -sample.arm, RESOLUTION * (sample.pendulum - HALF_TURN))
         mode, u, applied, led = mode_of(outputs), 0.0, 0.0, LED_IDLE
+        stepped_at, earlier = sample.tick - 1, (0.0, 0.0)  # when the controller was stepped, and with what
 
-        def log(latency: int, step_time: int, stepped: int) -> None:
+        def log(latency: int, step_time: int, steps: int) -> None:
             raw = sample.arm, sample.pendulum, sample.digital, sample.current, sample.tachometer
-            append(sample.tick, sample.due, woke, latency, step_time, stepped, *raw, applied, *outputs)
+            append(sample.tick, sample.due, woke, latency, step_time, steps, *raw, applied, *outputs)
 
         while True:
             theta, delta = RESOLUTION * -sample.arm, RESOLUTION * (sample.pendulum - HALF_TURN)
@@ -276,7 +291,12 @@ class Loop:
                 raise ended
             try:
                 before = now()
+                steps = 0
                 if action is not hold:
+                    steps = 1
+                    if sample.tick - stepped_at > 1:
+                        steps += controller.catch_up(earlier, theta, delta, sample.tick - stepped_at)
+                    stepped_at, earlier = sample.tick, (theta, delta)
                     u = command(theta, delta)
                     if not -HARD_LIMIT <= u <= HARD_LIMIT:
                         raise Stopped(f"the controller commands {u} V, beyond ±{HARD_LIMIT:g} V or not a number")
@@ -288,9 +308,9 @@ class Loop:
                 log(0, 0, 0)  # what the controller made of this sample was never in force
                 raise
             done = now()
-            log(done - woke, after - before, int(action is not hold))
+            log(done - woke, after - before, steps)
             applied = u
-            if action is not hold:
+            if steps:
                 outputs = get_outputs()
                 mode = mode_of(outputs)
                 led = LEDS.get(mode, LED_STOPPED)
@@ -334,8 +354,10 @@ def _ending(over: bool, received: list[int], reason: str) -> Stopped | None:
 
 
 def timing(result: Result) -> dict[str, dict[str, float]]:
-    """Return percentiles [s] of lateness, latency (sample to command) and the controller's step, over the whole run."""
-    stepped = result["hil.stepped"] == 1
+    """Return percentiles [s] over the run of lateness, and of latency (sample to command) and the controller's part of it
+    where it was stepped once.
+    """
+    stepped = result["hil.steps"] == 1
     return {
         "lateness": percentiles(result["hil.lateness"]),
         "latency": percentiles(result["hil.latency"][stepped]),

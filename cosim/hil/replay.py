@@ -57,19 +57,21 @@ def replay(result: Result, fmu: Path) -> Replay:
     names = controller.layout.names[-len(controller.layout.reals + controller.layout.integers) :]
     logged = [result[f"controller.{name}"].tolist() for name in names]
     rows = len(result.time)
-    stepped = result["hil.stepped"] if "hil.stepped" in result.signals else np.ones(rows)
-    stepped = stepped.astype(bool)
+    steps = result["hil.steps"].tolist() if "hil.steps" in result.signals else [1] * rows
     if rows:
-        stepped[-1] = False  # the outputs after the last row were never in force
+        steps[-1] = 0  # the outputs after the last row were never in force
     replayed = np.empty((rows, len(names)))
     controller.prepare()
     try:
-        outputs = controller.begin(float(theta[0]), float(delta[0])) if rows else ()
+        earlier = (float(theta[0]), float(delta[0])) if rows else (0.0, 0.0)
+        outputs = controller.begin(*earlier) if rows else ()
         for row in range(rows):
             replayed[row] = outputs
-            if stepped[row]:
-                controller.command(float(theta[row]), float(delta[row]))
-                outputs = controller.outputs()
+            if steps[row]:
+                angles = float(theta[row]), float(delta[row])
+                controller.catch_up(earlier, *angles, steps[row])
+                controller.command(*angles)
+                outputs, earlier = controller.outputs(), angles
     finally:
         controller.close()
     same = np.array([_bits(replayed[:, i]) == _bits(np.array(column)) for i, column in enumerate(logged)]).T
@@ -79,7 +81,7 @@ def replay(result: Result, fmu: Path) -> Replay:
         row = int(differing[0])
         column = int(np.flatnonzero(~same[row])[0])
         first = Difference(float(result.time[row]), names[column], logged[column][row], float(replayed[row, column]))
-    return Replay(int(np.sum(stepped)), int(differing.size), first, controller.instance.description.guid == guid)
+    return Replay(sum(map(bool, steps)), int(differing.size), first, controller.instance.description.guid == guid)
 
 
 def _bits(values: np.ndarray) -> np.ndarray:

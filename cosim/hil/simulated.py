@@ -123,12 +123,12 @@ class Board:
         self._command = voltage, enabled, led
         self._heard = True
 
-    def tick(self, count: int = 1) -> None:
-        """Let `count` periods pass."""
-        for _ in range(count):
+    def tick(self, count: int = 1, deaf: int = 0) -> None:
+        """Let `count` periods pass, of which the device itself could not hear in the last `deaf`: those are no silence."""
+        for k in range(count):
             if self._heard:
                 self._take_command()
-            self._silent_ticks += 1
+            self._silent_ticks += k < count - deaf
             if self._silent_ticks * self.period > HOLD + 0.5 * self.period and not self.cut:
                 self._cut("nothing heard")
             inputs = self._inputs.values
@@ -242,7 +242,8 @@ class Board:
 class SimulatedDevice:
     """A board in this process.
 
-    In real time its clock is an absolute one: whoever reads late finds that the plant has moved on with the voltage held.
+    In real time its clock is an absolute one: whoever reads late finds that the plant has moved on with the voltage held,
+    and gets the newest sample.
     In lockstep each reading is one period later than the one before, however long it took.
     """
 
@@ -282,19 +283,20 @@ class SimulatedDevice:
         if self._first:
             self._first = False
             return sample
-        ticks = 1 + board.late()
+        ticks, deaf = 1 + board.late(), 0
         if self.real_time:
             due = self._began + (sample.tick + ticks) * self._period_ns
             ahead = due - time.perf_counter_ns()
             if ahead > 0:
                 time.sleep(ahead * 1e-9)
-            else:
-                behind = -ahead // self._period_ns
+            behind = (time.perf_counter_ns() - due) // self._period_ns
+            if behind > 0:
                 ticks += behind
                 due += behind * self._period_ns
+                deaf = behind  # in the loop's process the device hears only while it is called
             sample.due = due
         try:
-            board.tick(ticks)
+            board.tick(ticks, deaf)
         except FmuError as error:
             raise DeviceError(str(error)) from None
         if not self.real_time:

@@ -309,11 +309,11 @@ class Server:
             behind = max(0, (time.perf_counter_ns() - self._next) // self._period_ns)
             ticks = 1 + behind + board.late()
             self._next += ticks * self._period_ns
-            self._advance(ticks)
+            self._advance(ticks, behind)
 
-    def _advance(self, ticks: int) -> None:
+    def _advance(self, ticks: int, deaf: int = 0) -> None:
         try:
-            self.board.tick(ticks)
+            self.board.tick(ticks, deaf)
             self._measure()
         except FmuError as error:
             self._refuse(str(error))

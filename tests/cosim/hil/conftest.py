@@ -1,4 +1,4 @@
-"""The stand-in for the vendor's package `quanser`, fresh for each test."""
+"""The stand-in for the vendor's package `quanser`, fresh for each test; simulated devices that are served over UDP."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from cosim.hil import loop as loop_module
+from tests.cosim.hil import rig
 
 STAND_IN = Path(__file__).parent / "stand_in"
 
@@ -26,3 +29,28 @@ def stand_in(monkeypatch):
     yield module
     module.configure()
     _forget()
+
+
+@pytest.fixture
+def serve(fmus):
+    """Serve boards; when the test is over each must be at 0 V and no server may have failed."""
+    served = []
+
+    def make(faults="", **changes):
+        served.append(rig.Served(rig.board_of(fmus, faults, **changes)))
+        return served[-1]
+
+    yield make
+    for one in served:
+        one.stop()
+    for one in served:
+        if one.error is not None:
+            raise one.error
+        if one.board.record:
+            rig.at_rest(one.board)
+
+
+@pytest.fixture
+def patient(monkeypatch):
+    """A loop that waits longer for a sample: this machine may be busy, and relays lose packets."""
+    monkeypatch.setattr(loop_module, "READ_TIMEOUT", 3.0)

@@ -1,11 +1,14 @@
 """What the tests of a run share: its parts from a scenario, a run in lockstep, a device with something between."""
 
 import io
+import threading
+import time
 
 from cosim.hil.faults import parse
 from cosim.hil.loop import Loop
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
+from cosim.hil.udp import Server
 from cosim.scenario import build_system, load_scenario
 
 
@@ -107,3 +110,31 @@ def one_sentence(error):
     assert len(io.StringIO(text).readlines()) == 1
     assert not text.endswith(".")
     return text
+
+
+class Served:
+    """A server in a thread."""
+
+    def __init__(self, board):
+        self.board, self.said, self.over, self.error = board, [], False, None
+        self.server = Server(board, ("127.0.0.1", 0), self.said.append)
+        self.address = self.server.address
+        self.thread = threading.Thread(target=self._serve)
+        self.thread.start()
+
+    def _serve(self):
+        try:
+            self.server.serve(lambda: self.over)
+        except BaseException as error:
+            self.error = error
+
+    def stop(self):
+        self.over = True
+        self.thread.join(timeout=20.0)
+        assert not self.thread.is_alive()
+
+    def wait(self, condition, seconds=10.0):
+        until = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < until
+            time.sleep(0.005)

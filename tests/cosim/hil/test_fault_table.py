@@ -403,7 +403,7 @@ def test_single_jump_is_dropped(bench, run, channel):
     about = report.result.metadata["hil"]
     assert (report.stop, about["dropped"]) == ("complete", 1)
     assert [*about["warnings"].values()] == [pytest.approx(T * PERIOD)]
-    assert np.flatnonzero(report.result["hil.stepped"] == 0).tolist() == [T, END]  # the last row is not answered
+    assert np.flatnonzero(report.result["hil.steps"] == 0).tolist() == [T, END]  # the last row is not answered
     changed = [tick for tick, _ in b.voltages()]
     assert (T - 1 in changed, T in changed, T + 1 in changed) == (True, False, True)  # the voltage is held
 

@@ -53,7 +53,7 @@ sys.stdin.read()
 def values(k, tick=None, **changes):
     """Return row k: one value for each column, all different."""
     row = {name: 100 * k + i for i, name in enumerate(TIMING)}
-    row |= {"tick": k if tick is None else tick, "due": (k + 1) * MS, "woke": (k + 1) * MS + 10 * k, "stepped": 1}
+    row |= {"tick": k if tick is None else tick, "due": (k + 1) * MS, "woke": (k + 1) * MS + 10 * k, "steps": 1}
     row |= {name: 0.5 * k + 0.1 * i for i, name in enumerate(MEASURED)}
     row |= {"voltage": 1.0 / (k + 1), "norm": -float(k), "mode": 2 + k % 2}
     return list({**row, **changes}.values())

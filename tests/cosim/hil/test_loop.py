@@ -12,9 +12,10 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.hil.device import DeviceError, LinkLostError, UnavailableError
-from cosim.hil.loop import Loop, stop_signals, timing
+from cosim.hil.loop import MOST_CAUGHT_UP, Controller, Loop, stop_signals, timing
+from cosim.hil.replay import replay
 from cosim.hil.settings import Settings
-from cosim.hil.simulated import SimulatedDevice
+from cosim.hil.simulated import HOLD, SimulatedDevice
 from cosim.scenario import run_scenario
 from tests.cosim.hil.rig import (
     Between,
@@ -99,7 +100,7 @@ def test_rows_are_as_in_a_simulation(fmus, tmp_path, duration):
     result = run(device, fmus, tmp_path, duration).result
     steps = round(duration * 1000)
     np.testing.assert_array_equal(result.time, np.arange(steps + 1) * 1e-3)
-    assert result["hil.stepped"].tolist() == [1] * steps + [0]
+    assert result["hil.steps"].tolist() == [1] * steps + [0]
     assert not result["hil.missed"].any()
     assert result["hil.latency"][-1] == result["hil.step_time"][-1] == 0.0
     assert (result["hil.latency"][:-1] > 0.0).all()
@@ -220,7 +221,7 @@ def test_the_last_row_tells_why(fmus, tmp_path):
     report = run(lockstep(fmus, "amplifier-fault@0.2"), fmus, tmp_path, 0.4)
     assert report.result.time[-1] == 0.2
     assert report.result["hil.digital"][-1] == 1
-    assert report.result["hil.stepped"][-1] == 0
+    assert report.result["hil.steps"][-1] == 0
     report = run(lockstep(fmus, "current@0.2=3"), fmus, tmp_path, 0.4)
     assert report.result["plant.current"][-1] == -3.0
 
@@ -231,7 +232,7 @@ def test_one_dropped_sample_holds_the_voltage_and_is_no_end(fmus, tmp_path):
     assert report.stop == "complete"
     assert (about(report)["dropped"], len(about(report)["warnings"])) == (1, 1)
     result = report.result
-    assert np.flatnonzero(result["hil.stepped"] == 0).tolist() == [200, 400]
+    assert np.flatnonzero(result["hil.steps"] == 0).tolist() == [200, 400]
     assert device.voltages[200] == device.voltages[199]
     assert result["hil.applied_voltage"][201] == result["hil.applied_voltage"][200]
     assert result["controller.voltage"][201] == result["controller.voltage"][200]
@@ -371,7 +372,7 @@ def test_a_signal_ends_the_run_after_the_current_sample(fmus, tmp_path, number, 
     assert (report.stop, report.signal) == ("signal", number)
     assert number.name in report.reason
     assert report.result.time[-1] in (0.1, 0.101)
-    assert report.result["hil.stepped"][-1] == 0
+    assert report.result["hil.steps"][-1] == 0
     at_rest(device.device.board)
 
 
@@ -515,7 +516,7 @@ def test_unknown_start_values_are_refused(fmus, tmp_path):
 def test_timing_is_of_the_rows_that_stepped(made_result):
     result = made_result(
         [0.0, 1.0, 2.0],
-        hil_stepped=[1, 1, 0],
+        hil_steps=[1, 1, 0],
         hil_lateness=[1e-6, 2e-6, 3e-6],
         hil_latency=[5e-6, 7e-6, 0.0],
         hil_step_time=[4e-6, 6e-6, 0.0],
@@ -524,3 +525,27 @@ def test_timing_is_of_the_rows_that_stepped(made_result):
     assert found["lateness"]["max"] == 3e-6
     assert found["latency"]["p50"] == pytest.approx(6e-6)
     assert found["step_time"]["p50"] == pytest.approx(5e-6)
+
+
+@pytest.mark.parametrize(("late", "steps"), [(1, 2), (3, 4), (30, 11)])
+def test_missed_samples_are_given_to_the_controller_afterwards(fmus, tmp_path, late, steps):
+    device = lockstep(fmus, f"late@0.3={late}")
+    if late * 1e-3 > HOLD:
+        device.board.tick = lambda count=1, deaf=0: type(device.board).tick(device.board, count, count - 1)
+    report = run(device, fmus, tmp_path, 0.5, stop_on_misses=False)
+    assert report.stop == "complete"
+    result = report.result
+    row = int(np.flatnonzero(result["hil.missed"])[0])
+    assert result["hil.steps"][row - 1 : row + 2].tolist() == [1, steps, 1]
+    assert result["hil.missed"][row] == late
+    assert replay(result, fmus / "IhcController.fmu").first is None
+
+
+def test_missed_samples_lie_on_the_line_between_two_measurements(fmus):
+    controller = Controller(parts(fmus)[0], 1e-3)
+    given = []
+    controller.command = lambda theta, delta: given.append((theta, delta)) or 0.0
+    assert controller.catch_up((0.0, -3.0), 0.4, -2.6, 4) == 3
+    np.testing.assert_allclose(given, [(0.1, -2.9), (0.2, -2.8), (0.3, -2.7)], rtol=1e-15)
+    assert controller.catch_up((0.0, 0.0), 1.0, 1.0, 1) == 0
+    assert controller.catch_up((0.0, 0.0), 1.0, 1.0, 1000) == MOST_CAUGHT_UP

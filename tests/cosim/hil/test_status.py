@@ -20,7 +20,7 @@ ROW = {
     "woke": 1_023_000,
     "latency": 61_000,
     "step_time": 40_000,
-    "stepped": 1,
+    "steps": 1,
     "arm": -512,
     "pendulum": 1024 + 2048,
     "digital": 0,

@@ -23,59 +23,6 @@ MS = 1e-3
 COMMAND = udp.COMMAND_BODY.pack(1, 2.5, True, 0.0, 0.0, 1.0)
 
 
-class Served:
-    """A server in a thread."""
-
-    def __init__(self, board):
-        self.board, self.said, self.over, self.error = board, [], False, None
-        self.server = Server(board, (HOST, 0), self.said.append)
-        self.address = self.server.address
-        self.thread = threading.Thread(target=self._serve)
-        self.thread.start()
-
-    def _serve(self):
-        try:
-            self.server.serve(lambda: self.over)
-        except BaseException as error:
-            self.error = error
-
-    def stop(self):
-        self.over = True
-        self.thread.join(timeout=20.0)
-        assert not self.thread.is_alive()
-
-    def wait(self, condition, seconds=10.0):
-        until = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < until
-            time.sleep(0.005)
-
-
-@pytest.fixture
-def serve(fmus):
-    """Serve boards; when the test is over each must be at 0 V and no server may have failed."""
-    served = []
-
-    def make(faults="", **changes):
-        served.append(Served(board_of(fmus, faults, **changes)))
-        return served[-1]
-
-    yield make
-    for one in served:
-        one.stop()
-    for one in served:
-        if one.error is not None:
-            raise one.error
-        if one.board.record:
-            at_rest(one.board)
-
-
-@pytest.fixture
-def patient(monkeypatch):
-    """A loop that waits longer for a sample: this machine may be busy, and relays lose packets."""
-    monkeypatch.setattr(loop_module, "READ_TIMEOUT", 3.0)
-
-
 @pytest.fixture
 def client():
     """Make a plain socket that speaks the protocol by hand."""
@@ -451,7 +398,7 @@ def compare(a, b):
     assert a.stop == b.stop
     assert a.result.time.tobytes() == b.result.time.tobytes()
     names = [n for n in a.result.signals if n.startswith(("controller.", "plant."))]
-    for name in [*names, "hil.applied_voltage", "hil.missed", "hil.stepped", "hil.digital", "hil.tachometer"]:
+    for name in [*names, "hil.applied_voltage", "hil.missed", "hil.steps", "hil.digital", "hil.tachometer"]:
         assert a.result[name].tobytes() == b.result[name].tobytes(), name
 
 
