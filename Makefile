@@ -19,9 +19,10 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it
+bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it; the hardware loop's timing
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks.native_pair
+	$(BIN)/python -m benchmarks.hil --seconds 5
 
 SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_export/adapter/*.[ch] cosim/native/*.[ch])
 
