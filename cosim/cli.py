@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import tomllib
 from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
@@ -29,6 +28,7 @@ from .errors import Interrupted, SimulationError, UserError
 from .export import Kind, Smc, export_units
 from .hil import commands as hil_commands
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .toml_files import read_toml
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
@@ -129,12 +129,7 @@ def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
 
     if path is None:
         return PAPER_A, PAPER_B, PAPER_K_LIN
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"system file {path} does not exist") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not TOML: {error}") from None
+    data = read_toml(path, "system")
     wanted = ["A", "b", "k_lin"] if need_gain else ["A", "b"]
     missing = [name for name in wanted if name not in data]
     unknown = [name for name in data if name not in ("A", "b", "k_lin")]

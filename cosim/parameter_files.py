@@ -9,16 +9,15 @@ and so on, a key for each field of `QubeParameters`, in its unit; keys of fields
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
-from typing import Any
 
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
 from .errors import UserError
 from .results import write_beside
+from .toml_files import read_toml
 
 SUFFIX = ".toml"
 
@@ -32,7 +31,7 @@ def load(path: Path) -> ParameterSet:
     Raises UserError that names the file and the key for a missing file, unknown or missing keys, values outside their
     rule.
     """
-    data = _read(path)
+    data = read_toml(path, "parameter")
     known = {"source": True, "back_emf": True, **_NUMBERS}
     for key in data:
         if key not in known:
@@ -90,17 +89,6 @@ def check_name(name_or_file: str, entry: str = "parameter set") -> None:
     if not name_or_file.endswith(SUFFIX) and name_or_file not in PARAMETER_SETS:
         sets = ", ".join(PARAMETER_SETS)
         raise UserError(f"{entry} must be one of {sets} or a file *{SUFFIX}, found {name_or_file!r}")
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"parameter file {path} does not exist") from None
-    except OSError as error:
-        raise UserError(f"parameter file {path} cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not TOML: {error}") from None
 
 
 def _number(path: Path, key: str, value: object) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -21,6 +20,7 @@ from . import parameter_files
 from .errors import UserError
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .results import Result
+from .toml_files import read_toml
 
 BUILT_IN = Path(__file__).parent / "scenarios"
 
@@ -200,14 +200,7 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
             path = built_in
         elif not path.exists():
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UserError(f"scenario file {path} does not exist") from None
-    except OSError as error:
-        raise UserError(f"scenario file {path} cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not TOML: {error}") from None
+    data = read_toml(path, "scenario")
     return _validated({"name": path.stem, **data}, str(path)), path.parent
 
 

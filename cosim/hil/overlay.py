@@ -11,6 +11,7 @@ from plant_fmu.interface import start_values as plant_start_values
 
 from ..errors import UserError
 from ..master import Component, System, simulate
+from ..metrics import wrapped
 from ..parameter_files import chosen
 from ..results import Result
 from ..scenario import WIRES
@@ -89,6 +90,6 @@ def differences(measured: Result, simulated: Result) -> dict[str, float]:
     for name in (*MEASURED, "controller.voltage"):
         difference = simulated[name][rows] - measured[name][: len(rows)]
         if name == "plant.delta_encoder":
-            difference = np.remainder(difference + np.pi, 2.0 * np.pi) - np.pi
+            difference = wrapped(difference)
         found[name] = float(np.sqrt(np.mean(difference**2)))
     return found

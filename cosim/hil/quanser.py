@@ -12,8 +12,17 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from .device import AMPLIFIER_FAULT, LED_STOPPED, RETRIES, STALL_DETECTED, STALL_ERROR, DeviceError, Led, Sample
-from .device import UnavailableError as Unavailable
+from .device import (
+    AMPLIFIER_FAULT,
+    LED_STOPPED,
+    RETRIES,
+    STALL_DETECTED,
+    STALL_ERROR,
+    DeviceError,
+    Led,
+    Sample,
+    UnavailableError,
+)
 from .guards import digital_reason
 
 CARD = "qube_servo2_usb"
@@ -58,12 +67,12 @@ def sdk() -> Any:
         from quanser import hardware  # type: ignore[import-not-found] # noqa: PLC0415
         from quanser.hardware.enumerations import BufferOverflowMode  # type: ignore[import-not-found] # noqa: F401, PLC0415
     except ImportError as error:
-        raise Unavailable(
+        raise UnavailableError(
             f"Quanser's Python package is not installed in this environment ({error}); install the Quanser SDK, then the "
             "Python wheels in its folder (quanser_common, quanser_hardware, ...) with pip: see docs/hil.md"
         ) from None
     except OSError as error:
-        raise Unavailable(
+        raise UnavailableError(
             f"Quanser's Python package is there, but its library is not ({error}); install the Quanser SDK or the QUARC "
             "runtime for this system: see docs/hil.md"
         ) from None
@@ -101,7 +110,7 @@ class QuanserDevice:
         try:
             card.open(CARD, self.identifier)
         except self._error as error:
-            raise Unavailable(self._text("opening the board", error)) from None
+            raise UnavailableError(self._text("opening the board", error)) from None
         self._card = card
         if self._watchdog_wanted:
             self._tried("stopping an earlier program's watchdog", card.watchdog_stop)
@@ -246,7 +255,7 @@ class QuanserDevice:
             if error.error_code == harmless:
                 return
             if error.error_code in _WATCHDOG_ERRORS:
-                raise Unavailable(
+                raise UnavailableError(
                     f"{self._text(what, error)}; this board has no usable watchdog: --no-watchdog runs without it, and then "
                     "a program that dies leaves its last voltage on the motor"
                 ) from None

@@ -6,7 +6,7 @@ import ctypes
 import gc
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 REFERENCE_MISSES = {
@@ -49,7 +49,8 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
         gc.unfreeze()
 
 
-def _scheduled(notes: list[str]):
+def _scheduled(notes: list[str]) -> Callable[[], None] | None:
+    """Do what the system permits, say so in `notes`, and return what undoes it."""
     if sys.platform != "linux":
         notes.append(f"no real-time scheduling: not implemented for {sys.platform}")
         return None

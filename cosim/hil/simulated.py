@@ -71,7 +71,7 @@ class Board:
         self.cut = ""  # why the voltage was cut, latched
         self.period = 0.0
         self.opened = False
-        self._voltage, self._enabled, self._led = 0.0, False, LED_STOPPED
+        self._voltage, self._enabled, self.led = 0.0, False, LED_STOPPED
         self._command = 0.0, False, LED_STOPPED
         self._heard = False
         self._at_motor = 0.0
@@ -155,7 +155,7 @@ class Board:
 
     def safe_stop(self, reason: str) -> None:
         """0 V, amplifier off; also while a fault refuses commands from outside."""
-        self._voltage, self._enabled, self._led, self._heard = 0.0, False, LED_STOPPED, False
+        self._voltage, self._enabled, self.led, self._heard = 0.0, False, LED_STOPPED, False
         self._apply("command")
         self._note(f"stop: {reason}")
 
@@ -183,7 +183,7 @@ class Board:
         """Let the last command act: from now on, as nothing has passed since it came."""
         self._heard = False
         self._silent_ticks = 0
-        voltage, enabled, self._led = self._command
+        voltage, enabled, self.led = self._command
         if not math.isfinite(voltage):
             self._cut("a voltage that is not finite")
             return
