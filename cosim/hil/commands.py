@@ -355,7 +355,7 @@ def overlay(
     """Re-simulate a run from where its log begins and lay the simulation over the hardware: pictures, metrics."""
     from ..plots import save_comparison
     from ..results import Result
-    from .overlay import differences, resimulate
+    from .overlay import as_seen, differences, resimulate
 
     result = Result.load(run)
     about = result.metadata.get("scenario", {}).get("plant", {})
@@ -372,7 +372,7 @@ def overlay(
         )
     folder = output or run.with_name(f"{run.stem}_overlay")
     simulated.save(folder / "simulation.csv")
-    both = {"device": measured, "simulation": simulated}
+    both = {"device": measured, "simulation": as_seen(simulated, measured)}
     save_comparison(both, folder, f"{run.name} and its simulation with {chosen}")
     print_results(both)
     for name, value in differences(measured, simulated).items():

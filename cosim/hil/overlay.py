@@ -78,6 +78,12 @@ def resimulate(
     )
 
 
+def as_seen(simulated: Result, measured: Result) -> Result:
+    """Return the simulation with the signals that the log has too: the encoders' angles and not the true ones."""
+    shared = {name: signal for name, signal in simulated.signals.items() if name in measured.signals}
+    return Result(simulated.time, shared, {name: simulated.units[name] for name in shared}, simulated.metadata)
+
+
 def _end(result: Result) -> float:
     return float(result.time[-1]) if len(result.time) else 0.0
 

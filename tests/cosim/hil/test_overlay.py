@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
-from cosim.hil.overlay import FIT_TIME, differences, resimulate, start_state
+from cosim.hil.overlay import FIT_TIME, as_seen, differences, resimulate, start_state
 from cosim.hil.scaling import RESOLUTION
+from cosim.metrics import angle_norm
 from cosim.results import Result
 from tests.cosim.hil.rig import lockstep, one_sentence, run
 
@@ -143,3 +144,14 @@ def test_differences_of_the_pendulum_know_no_turns(made_result):
     found = differences(a, b)
     assert found["plant.delta_encoder"] == pytest.approx(0.0, abs=1e-12)
     assert found["controller.voltage"] == 2.0
+
+
+def test_a_simulation_is_compared_as_an_encoder_sees_it(made_result):
+    angles = {"plant_theta_encoder": 0.1, "plant_delta_encoder": -0.2}
+    simulated = made_result([0.0, 1.0], **angles)
+    log = made_result([0.0, 1.0], **angles)
+    for name in ("plant.theta", "plant.delta"):
+        del log.signals[name]
+    seen = as_seen(simulated, log)
+    assert list(seen.signals) == [name for name in simulated.signals if name not in ("plant.theta", "plant.delta")]
+    assert angle_norm(seen)[0] == pytest.approx(math.hypot(0.1, -0.2), rel=1e-12)
