@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fmu_export.errors import UserError
+
 if TYPE_CHECKING:
     from .results import Result
 
 
-class UserError(ValueError):
-    """A file, name, number or combination that cannot work: one sentence with the thing, the rule and the value found."""
+__all__ = ["Interrupted", "SimulationError", "UserError"]
 
 
 class SimulationError(RuntimeError):

@@ -10,10 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
+from fmu_export.files import write_file
+
 from .campaign import Job, run_all
 from .master import Coupling
 from .metrics import NAMES, Metrics, evaluate
-from .results import Result, write_beside
+from .results import Result
 from .scenario import Scenario, build_system
 
 LAWS = ("LC", "SMC", "IHC")
@@ -57,7 +59,7 @@ class Comparison:
         for d in self.draws:
             seed = "" if d.seed is None else str(d.seed)
             lines.append(",".join([d.law, seed, *(repr(getattr(d.metrics, n)) for n in NAMES)]))
-        write_beside(folder / "comparison.csv", "\n".join(lines) + "\n")
+        write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
         laws = list(self.results)
         medians = {law: {n: _json_number(self.median(law, n)) for n in NAMES} for law in laws}
         about = {
@@ -65,7 +67,7 @@ class Comparison:
             "draws": len(self.draws) // len(laws),
             "median": medians,
         }
-        write_beside(folder / "comparison.json", json.dumps(about, indent=1) + "\n")
+        write_file(folder / "comparison.json", json.dumps(about, indent=1) + "\n")
 
 
 def _json_number(value: float) -> float | None:

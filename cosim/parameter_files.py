@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
+from fmu_export.files import write_file
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
 from .errors import UserError
-from .results import write_beside
 from .toml_files import read_toml
 
 SUFFIX = ".toml"
@@ -61,7 +61,7 @@ def save(path: Path, chosen: ParameterSet) -> None:
     if path.suffix != SUFFIX:
         raise UserError(f"a parameter set goes into a file named *{SUFFIX}, found {path}")
     about = {"source": chosen.source, "back_emf": chosen.back_emf}
-    write_beside(path, tomli_w.dumps({**about, **asdict(chosen.parameters)}))
+    write_file(path, tomli_w.dumps({**about, **asdict(chosen.parameters)}))
 
 
 def chosen(name_or_file: str, folder: Path | None = None) -> ParameterSet:

@@ -12,8 +12,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from fmu_export.files import write_file
+
 from .metrics import angle_norm, wrapped
-from .results import Result, write_beside
+from .results import Result
 
 COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837"}
 MODE_COLOURS = {1: "#dddddd", 2: "#fdd49e", 3: "#c7e9c0", 4: "#fb6a4a"}
@@ -58,7 +60,7 @@ def save_figure(figure: Figure, path: Path, title: str) -> Path:
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
-    write_beside(path, buffer.getvalue())
+    write_file(path, buffer.getvalue())
     return path
 
 

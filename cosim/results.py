@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -13,6 +12,8 @@ from typing import Any
 
 import numpy as np
 from pydantic_core import to_json
+
+from fmu_export.files import write_file
 
 from .errors import UserError
 
@@ -49,11 +50,11 @@ class Result:
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
         header = {"format": FORMAT, "units": self.units, "metadata": self.metadata}
-        write_beside(path.with_suffix(".json"), json.dumps(header, indent=1) + "\n")
+        write_file(path.with_suffix(".json"), json.dumps(header, indent=1) + "\n")
         blocks = [",".join(["time", *self.signals]).encode()]
         columns = [self.time, *self.signals.values()]
         blocks += [_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) for k in range(0, len(self.time), ROWS_AT_ONCE)]
-        write_beside(path, b"\n".join(blocks) + b"\n")
+        write_file(path, b"\n".join(blocks) + b"\n")
 
     @classmethod
     def load(cls, path: Path) -> Result:
@@ -93,17 +94,6 @@ def _column(path: Path, name: str, texts: tuple[str, ...]) -> Array:
         return np.array(texts, dtype=np.float64)
     except (ValueError, OverflowError) as error:
         raise UserError(f"{path}: column {name}: {error}") from None
-
-
-def write_beside(path: Path, content: str | bytes) -> None:
-    """Write a temporary file beside `path` and rename it to `path`."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        beside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
 
 
 @cache

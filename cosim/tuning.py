@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
+from fmu_export.files import write_file
 from fmu_export.variables import Value
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.start_values import design_values
@@ -25,7 +26,7 @@ from .campaign import Job, Journal, Numbers, counted, run_numbers
 from .errors import UserError
 from .metrics import evaluate, kept_upright
 from .plots import save_figure
-from .results import Result, write_beside
+from .results import Result
 from .scenario import Scenario, files
 
 MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_variation")
@@ -226,7 +227,7 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
         row = (*point, o.measure, o.chattering, o.kept, o.draws, int(point in tuning.stops))
         lines.append(",".join(map(repr, row)))
-    write_beside(folder / "tuning.csv", "\n".join(lines) + "\n")
+    write_file(folder / "tuning.csv", "\n".join(lines) + "\n")
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
     design.save(folder / "best.json")
@@ -239,7 +240,7 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     own = {"controller.design": "best.json", "record.every": 1}
     start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
     start = {f"controller.start.{name}": value for name, value in start.items()}
-    write_beside(folder / "best.toml", problem.scenario.changed({**own, **start, **moved}).to_toml())
+    write_file(folder / "best.toml", problem.scenario.changed({**own, **start, **moved}).to_toml())
     title = (
         f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
         "square: where the rule stops; triangle: there with b_max raised"

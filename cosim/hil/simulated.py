@@ -14,10 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from fmu_export.files import write_file
+
 from ..errors import UserError
 from ..fmu import FmuError, Instance
 from ..master import Component
-from ..results import write_beside
 from .device import (
     AMPLIFIER_FAULT,
     LED_STOPPED,
@@ -177,7 +178,7 @@ class Board:
         rows = csv.writer(text, lineterminator="\n")
         rows.writerow(["time", "voltage", "what"])
         rows.writerows([repr(e.time), repr(e.voltage), e.what] for e in self.record)
-        write_beside(path, text.getvalue())
+        write_file(path, text.getvalue())
 
     def _take_command(self) -> None:
         """Let the last command act: from now on, as nothing has passed since it came."""

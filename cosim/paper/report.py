@@ -16,6 +16,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from fmu_export.files import write_file
 from ihc_fmu.design import largest_alpha
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import parameter_set
@@ -23,7 +24,7 @@ from plant_fmu.parameters import parameter_set
 from ..campaign import Job, Journal, run_all
 from ..errors import UserError
 from ..fmu import describe
-from ..results import Result, versions, write_beside
+from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
 from . import figures, printed, tables
 from .claims import Claim, Judge, Theory
@@ -94,7 +95,7 @@ def make(study: Study, report: Report | None = None) -> list[Claim]:
     say("tables, figures, report", 2, 4)
     figures.save_all(study.folder, pictures, found, study, tables.ranking_names(found))
     say("tables, figures, report", 3, 4)
-    write_beside(study.folder / "report.html", _page(study, sections, claims, pictures, len(found)))
+    write_file(study.folder / "report.html", _page(study, sections, claims, pictures, len(found)))
     say("tables, figures, report", 4, 4)
     return claims
 

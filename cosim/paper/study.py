@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fmu_export.files import write_file
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.start_values import default_design
@@ -23,7 +24,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from ..campaign import Job, Journal, run_all, run_numbers
 from ..metrics import angle_norm, evaluate, kept_upright, settling_time, wrapped
-from ..results import Result, write_beside
+from ..results import Result
 from ..scenario import BUILT_IN, Scenario, load_scenario
 from . import printed
 from .gains import K_LIN, TILT, A, B
@@ -228,7 +229,7 @@ class Study:
         """Write the scenario of a run as TOML and return its path."""
         scenario = self.scenario(key)
         path = self.scenarios / f"{scenario.name}.toml"
-        write_beside(path, scenario.to_toml())
+        write_file(path, scenario.to_toml())
         return path
 
     def job(self, key: Key, **changes: Any) -> Job[Key]:

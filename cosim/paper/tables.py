@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..results import write_beside
+from fmu_export.files import write_file
+
 from . import printed
 from .claims import LAWS, Claim, Found, Judge, Share, Theory, by_cell, compare, margin
 from .figures import sweep_median, sweep_runs, swing_up_pairs
@@ -44,7 +45,7 @@ class Table:
     def save(self, folder: Path) -> None:
         """Write NAME.csv and NAME.md."""
         self.save_csv(folder)
-        write_beside(folder / f"{self.name}.md", self.markdown())
+        write_file(folder / f"{self.name}.md", self.markdown())
 
     def save_csv(self, folder: Path) -> None:
         """Write NAME.csv."""
@@ -52,7 +53,7 @@ class Table:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow([column.name for column in self.columns])
         writer.writerows([["" if cell is None else cell for cell in row] for row in self.rows])
-        write_beside(folder / f"{self.name}.csv", text.getvalue())
+        write_file(folder / f"{self.name}.csv", text.getvalue())
 
     def markdown(self) -> str:
         """Return the table as Markdown, with its title and note."""

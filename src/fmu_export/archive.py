@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+
+from .files import replacing
 
 ZIP_TIME = (1980, 1, 1, 0, 0, 0)
 
@@ -22,19 +23,13 @@ def content_guid(files: Mapping[str, bytes], description: bytes) -> str:
 
 
 def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first; beside `path`, then renamed."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in sorted(files, key=lambda n: (n != "modelDescription.xml", n)):
-                entry = zipfile.ZipInfo(name, ZIP_TIME)
-                entry.external_attr = 0o644 << 16
-                entry.compress_type = zipfile.ZIP_DEFLATED
-                archive.writestr(entry, files[name])
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first, whole or not at all."""
+    with replacing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(files, key=lambda n: (n != "modelDescription.xml", n)):
+            entry = zipfile.ZipInfo(name, ZIP_TIME)
+            entry.external_attr = 0o644 << 16
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, files[name])
 
 
 def license_of(distribution: str) -> bytes:

@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from .files import write_file
+
 FLAGS = (
     "-std=c99",
     "-O3",
@@ -100,12 +102,8 @@ def install_library(folder: Path, files: Mapping[str, bytes], name: str, platfor
     """Build the library `name` into `folder`/<platform> unless it is there, made of the same files; return its path."""
     path = folder / platform.name / (name + platform.suffix)
     if not _is_current(path, files):
-        binary = build_library(files, name, platform)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
-        beside.write_bytes(binary)
-        beside.replace(path)
-        _digest_path(path).write_text(_digest(files) + "\n", encoding="ascii")
+        write_file(path, build_library(files, name, platform))
+        write_file(_digest_path(path), _digest(files) + "\n")
     return path
 
 

@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from .errors import UserError
+
 Value = float | int | bool
 Type = Literal["Real", "Integer", "Boolean", "Enumeration"]
 Causality = Literal["parameter", "input", "output", "local"]
@@ -53,15 +55,15 @@ class Variable:
         return self.causality in ("output", "local")
 
     def check(self, value: Value | str) -> Value:
-        """Return `value` as this variable's type, or raise ValueError that names variable, rule and value."""
+        """Return `value` as this variable's type, or raise UserError that names variable, rule and value."""
         number = self._as_number(value)
         if not math.isfinite(number):
             if self.fault_on_non_finite:
                 return number
-            raise ValueError(f"{self.name} must be finite, found {value}")
+            raise UserError(f"{self.name} must be finite, found {value}")
         low, high = self.limits()
         if number < low or number > high:
-            raise ValueError(f"{self.name} must lie in [{low:g}, {high:g}]{self._unit_text()}, found {value}")
+            raise UserError(f"{self.name} must lie in [{low:g}, {high:g}]{self._unit_text()}, found {value}")
         return number
 
     def limits(self) -> tuple[float, float]:
@@ -77,20 +79,20 @@ class Variable:
         if isinstance(value, str):
             if value not in self.items:
                 expected = f"one of {', '.join(self.items)}" if self.items else f"a {self.type}"
-                raise ValueError(f"{self.name} must be {expected}, found {value!r}")
+                raise UserError(f"{self.name} must be {expected}, found {value!r}")
             return self.items.index(value) + 1
         if self.type == "Boolean":
             if not isinstance(value, int | float) or value not in (0, 1):
-                raise ValueError(f"{self.name} must be true or false, found {value}")
+                raise UserError(f"{self.name} must be true or false, found {value}")
             return bool(value)
         if isinstance(value, bool):
-            raise ValueError(f"{self.name} must be of type {self.type}, found {str(value).lower()}")
+            raise UserError(f"{self.name} must be of type {self.type}, found {str(value).lower()}")
         if not isinstance(value, int | float):
-            raise ValueError(f"{self.name} must be a number, found {value}")
+            raise UserError(f"{self.name} must be a number, found {value}")
         if self.type == "Real":
             return float(value)
         if not math.isfinite(value) or value != int(value) or not -(2**31) <= value < 2**31:
-            raise ValueError(f"{self.name} must be an integer of 32 bits, found {value}")
+            raise UserError(f"{self.name} must be an integer of 32 bits, found {value}")
         return int(value)
 
 
@@ -109,7 +111,7 @@ class Interface:
     def __post_init__(self) -> None:
         by_name = {v.name: v for v in self.variables}
         if len(by_name) != len(self.variables):
-            raise ValueError(f"{self.name}: variable names must be unique")
+            raise UserError(f"{self.name}: variable names must be unique")
         object.__setattr__(self, "by_name", by_name)
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
@@ -129,10 +131,10 @@ class Interface:
         values = {v.name: v.start for v in self.variables if v.start is not None}
         for name, value in (changes or {}).items():
             if name not in values:
-                raise ValueError(f"{self.name} has no parameter or input named {name!r}{did_you_mean(name, values)}")
+                raise UserError(f"{self.name} has no parameter or input named {name!r}{did_you_mean(name, values)}")
             values[name] = self.by_name[name].check(value)
             if not math.isfinite(values[name]):
-                raise ValueError(f"the start value of {name} must be finite, found {value}")
+                raise UserError(f"the start value of {name} must be finite, found {value}")
         return values
 
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
 
+from fmu_export.errors import UserError
+
 from .companion import chain_form, generator
 from .homogeneity import homogeneous_norm, norm_polynomial, to_chain
 
@@ -20,7 +22,7 @@ IDENTITY_TOLERANCE = 1e-8
 """Relative residual allowed in the identities (1), which hold exactly but for rounding."""
 
 
-class CertificateError(ValueError):
+class CertificateError(UserError):
     """A design does not prove what it claims; the message names the inequality and its margin."""
 
 

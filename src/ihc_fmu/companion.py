@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu_export.errors import UserError
+
 Array = np.ndarray
 
 
@@ -25,16 +27,16 @@ class ChainForm:
 
 
 def checked_system(A: Array, b: Array) -> tuple[Array, Array]:
-    """Return A as (n, n) and b as (n,) arrays of finite numbers, n >= 1; raise ValueError that says what is wrong."""
+    """Return A as (n, n) and b as (n,) arrays of finite numbers, n >= 1; raise UserError that says what is wrong."""
     A = np.asarray(A, dtype=float)
     b = np.asarray(b, dtype=float)
     b = b[:, 0] if b.ndim == 2 and b.shape[1] == 1 else b
     if A.ndim != 2 or A.shape[0] != A.shape[1] or A.shape[0] == 0:
-        raise ValueError(f"A must be a square matrix, found shape {A.shape}")
+        raise UserError(f"A must be a square matrix, found shape {A.shape}")
     if b.shape != (A.shape[0],):
-        raise ValueError(f"b must have {A.shape[0]} entries to fit A, found shape {b.shape}")
+        raise UserError(f"b must have {A.shape[0]} entries to fit A, found shape {b.shape}")
     if not (np.isfinite(A).all() and np.isfinite(b).all()):
-        raise ValueError("A and b must be finite, found a NaN or an infinity")
+        raise UserError("A and b must be finite, found a NaN or an infinity")
     return A, b
 
 
@@ -47,7 +49,7 @@ def time_scale(A: Array) -> float:
 def chain_form(A: Array, b: Array) -> ChainForm:
     """Return Phi, row and A_0 of (A, b).
 
-    Raises ValueError where the pair is not controllable in the Kalman sense, or so nearly not that fewer than four
+    Raises UserError where the pair is not controllable in the Kalman sense, or so nearly not that fewer than four
     digits of Phi would be right (judged in scaled time, with the columns of C normalized).
     """
     A, b = checked_system(A, b)
@@ -61,7 +63,7 @@ def chain_form(A: Array, b: Array) -> ChainForm:
     norms = np.linalg.norm(C, axis=0)
     condition = np.linalg.cond(C / norms) if norms.all() else np.inf
     if condition > 1e12:
-        raise ValueError(f"(A, b) must be controllable; the condition of its controllability matrix is {condition:.3g}")
+        raise UserError(f"(A, b) must be controllable; the condition of its controllability matrix is {condition:.3g}")
     q = np.linalg.solve((C / norms).T, np.eye(n)[-1]) / norms[-1]
     rows = [q]
     for _ in range(n):

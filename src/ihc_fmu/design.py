@@ -8,7 +8,6 @@ coordinates of (A, b) are. The solver's word is not taken: `certify` recomputes 
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +15,9 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
+
+from fmu_export.errors import UserError
+from fmu_export.files import write_file
 
 from .certificate import Certificate, CertificateError, certify
 from .companion import chain_form, checked_system, weights
@@ -32,7 +34,7 @@ PAPER_K_LIN = (2.0, -30.0, 2.0, -2.5)
 """A [1/s, 1/s^2], b [rad/(s^2 V)] and the manufacturer's k_lin [V/rad, V s/rad] of the paper's section V."""
 
 
-class InfeasibleError(ValueError):
+class InfeasibleError(UserError):
     """The matrix inequalities have no solution for the given numbers."""
 
 
@@ -66,9 +68,9 @@ class Design:
         for name, shape in (("k_lin", (n,)), ("P", (n, n))):
             value = np.array(getattr(self, name), dtype=float)
             if value.shape != shape:
-                raise ValueError(f"{name} must be of shape {shape} to fit A, found shape {value.shape}")
+                raise UserError(f"{name} must be of shape {shape} to fit A, found shape {value.shape}")
             if not np.isfinite(value).all():
-                raise ValueError(f"{name} must be finite, found {value[~np.isfinite(value)][0]}")
+                raise UserError(f"{name} must be finite, found {value[~np.isfinite(value)][0]}")
             object.__setattr__(self, name, value)
         _check_scalars(self.mu, self.alpha, self.psi, self.d_max, self.tau)
         form = chain_form(A, b)
@@ -107,18 +109,18 @@ class Design:
         """Return the design with P scaled by an explicit rule, which leaves (11) untouched.
 
         Either the largest |k x| on the unit ball becomes `u_max` [V], or the largest |x_index| there becomes `bound`
-        (index 1 is the pendulum angle delta). Raises ValueError where not exactly one rule is given.
+        (index 1 is the pendulum angle delta). Raises UserError where not exactly one rule is given.
         """
         if (u_max is None) == (bound is None or index is None):
-            raise ValueError("the scale of P needs one rule: u_max, or index and bound")
+            raise UserError("the scale of P needs one rule: u_max, or index and bound")
         size = u_max if u_max is not None else bound
         if size is None or not 0.0 < size < np.inf:
-            raise ValueError(f"the bound on the unit ball must be positive and finite, found {size}")
+            raise UserError(f"the bound on the unit ball must be positive and finite, found {size}")
         if index is not None and not 0 <= index < self.n:
-            raise ValueError(f"the bounded state must be one of 0..{self.n - 1}, found {index}")
+            raise UserError(f"the bounded state must be one of 0..{self.n - 1}, found {index}")
         factor = (self.u_max if index is None else self.extent[index]) / size
         if self.psi or self.d_max:
-            raise ValueError("a design with the terms of Remark 3 cannot be rescaled: psi and d_max fix the scale of P")
+            raise UserError("a design with the terms of Remark 3 cannot be rescaled: psi and d_max fix the scale of P")
         return replace(self, P=self.P * float(factor) ** 2)
 
     def to_json(self) -> str:
@@ -134,36 +136,33 @@ class Design:
         return json.dumps({"format": FORMAT, **given, "derived": derived}, indent=1) + "\n"
 
     def save(self, path: Path) -> None:
-        """Write the JSON to `path`, beside it first, then renamed."""
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside = path.with_name(f".{path.name}.{os.getpid()}")
-        beside.write_text(self.to_json(), encoding="utf-8")
-        beside.replace(path)
+        """Write the JSON to `path`, whole or not at all; raises UserError where it cannot be written."""
+        write_file(path, self.to_json())
 
     @classmethod
     def from_json(cls, text: str) -> Design:
         """Return the design of `to_json`; the derived numbers are computed anew and the certificate is checked.
 
-        Raises ValueError for text that is not a design, and CertificateError for one that proves nothing.
+        Raises UserError for text that is not a design, and CertificateError for one that proves nothing.
         """
         try:
             data = json.loads(text)
         except json.JSONDecodeError as error:
-            raise ValueError(f"not JSON: {error}") from None
+            raise UserError(f"not JSON: {error}") from None
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             found = data.get("format") if isinstance(data, dict) else type(data).__name__
-            raise ValueError(f"the format must be {FORMAT!r}, found {found!r}")
+            raise UserError(f"the format must be {FORMAT!r}, found {found!r}")
         names = {f.name for f in fields(cls) if f.init}
         given = {name: value for name, value in data.items() if name in names}
         missing = {"A", "b", "k_lin", "P", "mu", "alpha"} - given.keys()
         unknown = data.keys() - names - {"format", "derived"}
         if missing or unknown:
-            raise ValueError(f"a design has missing {sorted(missing)} and unknown {sorted(unknown)} entries")
+            raise UserError(f"a design has missing {sorted(missing)} and unknown {sorted(unknown)} entries")
         entries: dict[str, Any] = {n: np.array(v, float) if isinstance(v, list) else v for n, v in given.items()}
         try:
             return cls(**entries)
         except TypeError as error:
-            raise ValueError(f"an entry of the design is of the wrong type: {error}") from None
+            raise UserError(f"an entry of the design is of the wrong type: {error}") from None
 
     @classmethod
     def load(cls, path: Path) -> Design:
@@ -173,7 +172,7 @@ class Design:
         except CertificateError as error:
             raise CertificateError(f"{path}: {error}") from None
         except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
+            raise UserError(f"{path}: {error}") from None
 
 
 def _plain(value: Any) -> Any:
@@ -182,16 +181,16 @@ def _plain(value: Any) -> Any:
 
 def _check_scalars(mu: float, alpha: float, psi: float, d_max: float, tau: float = 1.0) -> None:
     if not 0.0 < mu <= 1.0:
-        raise ValueError(f"mu must lie in (0, 1], found {mu}")
+        raise UserError(f"mu must lie in (0, 1], found {mu}")
     if not 0.0 < alpha < np.inf:
-        raise ValueError(f"alpha must be positive and finite [1/s], found {alpha}")
+        raise UserError(f"alpha must be positive and finite [1/s], found {alpha}")
     if not 0.0 < tau < np.inf:
-        raise ValueError(f"tau must be positive and finite, found {tau}")
+        raise UserError(f"tau must be positive and finite, found {tau}")
     for name, value in (("psi", psi), ("d_max", d_max)):
         if not 0.0 <= value < np.inf:
-            raise ValueError(f"{name} must be non-negative and finite, found {value}")
+            raise UserError(f"{name} must be non-negative and finite, found {value}")
     if d_max > 0.0 and mu < 1.0:
-        raise ValueError(f"a matched disturbance d_max > 0 can be rejected only at mu = 1, found mu = {mu}")
+        raise UserError(f"a matched disturbance d_max > 0 can be rejected only at mu = 1, found mu = {mu}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,13 +292,13 @@ class Options:
     def __post_init__(self) -> None:
         _check_scalars(self.mu, self.alpha, self.psi, self.d_max)
         if self.u_max is None and self.delta_max is None:
-            raise ValueError("the scale of P needs a rule: u_max, delta_max or both")
+            raise UserError("the scale of P needs a rule: u_max, delta_max or both")
         for name in ("u_max", "delta_max"):
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
-                raise ValueError(f"{name} must be positive and finite, found {value}")
+                raise UserError(f"{name} must be positive and finite, found {value}")
         if not 0.0 < self.beta < 1.0:
-            raise ValueError(f"beta must lie in (0, 1), found {self.beta}")
+            raise UserError(f"beta must lie in (0, 1), found {self.beta}")
 
 
 def inverse_design(A: Array, b: Array, k_lin: Array, options: Options | None = None) -> Design:
@@ -310,7 +309,7 @@ def inverse_design(A: Array, b: Array, k_lin: Array, options: Options | None = N
         A_cl X + X A_cl' + alpha (G_d X + X G_d') + disturbance terms <= 0,   G_d X + X G_d' >= 2 beta X,
         k X k' <= u_max^2   and/or   X_ii <= delta_max^2.
 
-    Raises ValueError for a pair that is not controllable or a k_lin that does not stabilize it, InfeasibleError where
+    Raises UserError for a pair that is not controllable or a k_lin that does not stabilize it, InfeasibleError where
     alpha is beyond the largest feasible one, CertificateError where the result fails its proof.
     """
     options = options or Options()
@@ -329,17 +328,17 @@ def direct_design(A: Array, b: Array, options: Options | None = None) -> Design:
     options = options or Options()
     A, b = checked_system(A, b)
     if options.u_max is None:
-        raise ValueError("a direct design needs u_max: without it k would grow beyond bounds")
+        raise UserError("a direct design needs u_max: without it k would grow beyond bounds")
     return _optimize(A, b, None, options)
 
 
 def _checked_gain(k_lin: Array, A: Array, b: Array) -> Array:
     k_lin = np.asarray(k_lin, dtype=float)
     if k_lin.shape != b.shape or not np.isfinite(k_lin).all():
-        raise ValueError(f"k_lin must have {len(b)} finite entries, found shape {k_lin.shape}")
+        raise UserError(f"k_lin must have {len(b)} finite entries, found shape {k_lin.shape}")
     slowest = np.linalg.eigvals(A + np.outer(b, k_lin)).real.max()
     if slowest >= 0.0:
-        raise ValueError(f"k_lin must stabilize (A, b): the largest real part of the poles is {slowest:.4g} 1/s")
+        raise UserError(f"k_lin must stabilize (A, b): the largest real part of the poles is {slowest:.4g} 1/s")
     return k_lin
 
 
@@ -412,7 +411,7 @@ def _size_constraints(p: _Scaled, X: Any, y: Any, options: Options) -> list[Any]
         constraints.append(p.k @ X @ p.k <= 1.0)
     if options.delta_max is not None:
         if not 0 <= options.index < len(p.N):
-            raise ValueError(f"the bounded state must be one of 0..{len(p.N) - 1}, found {options.index}")
+            raise UserError(f"the bounded state must be one of 0..{len(p.N) - 1}, found {options.index}")
         row = p.T[options.index] / options.delta_max
         constraints.append(row @ X @ row <= 1.0)
     return constraints

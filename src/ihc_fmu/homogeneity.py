@@ -15,6 +15,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, inf, isfinite, log, nan
 
+from fmu_export.errors import UserError
+
 Vector = Sequence[float]
 Matrix = Sequence[Sequence[float]]
 
@@ -31,7 +33,7 @@ GUESSES = (1e-12, 1e12)
 def solve(M: Matrix, B: Matrix) -> list[list[float]]:
     """Return M^-1 B by Gaussian elimination with partial pivoting; M is (n, n), B is (n, m).
 
-    Raises ValueError where M is singular.
+    Raises UserError where M is singular.
     """
     n = len(M)
     rows = [[*M[i], *B[i]] for i in range(n)]
@@ -40,7 +42,7 @@ def solve(M: Matrix, B: Matrix) -> list[list[float]]:
         rows[k], rows[pivot] = rows[pivot], rows[k]
         head = rows[k][k]
         if head == 0.0 or not isfinite(head):
-            raise ValueError("Phi must be regular, found a singular matrix")
+            raise UserError("Phi must be regular, found a singular matrix")
         for i in range(k + 1, n):
             factor = rows[i][k] / head
             for j in range(k, len(rows[i])):

@@ -13,6 +13,8 @@ from math import pi
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
+from fmu_export.errors import UserError
+
 from .nominal_model import NominalModel
 from .velocity import BIAS_DECAY
 
@@ -50,10 +52,10 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
 
     Upper rows in [1] and [1/s], row 5 in V/rad, row 6 in [1]. Process noise is integrated exactly over a sample (Van
     Loan, IEEE Trans. Automatic Control 23(3), 1978); the stationary covariance solves the discrete Riccati equation.
-    Raises ValueError for an `h` that is not positive and finite.
+    Raises UserError for an `h` that is not positive and finite.
     """
     if not 0.0 < h < np.inf:
-        raise ValueError(f"the sample time must be positive and finite, found {h} s")
+        raise UserError(f"the sample time must be positive and finite, found {h} s")
     o = options or KalmanOptions()
     F = np.zeros((6, 6))
     F[:4, :4], F[:4, 4], F[5, 5] = A, b, -BIAS_DECAY

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fmu_export.errors import UserError
+
 from .companion import chain_form
 
 Array = np.ndarray
@@ -33,18 +35,18 @@ FITTED_RHO = 1.17
 def sliding_mode_design(A: Array, b: Array, poles: Array, kappa: float, rho: float) -> SlidingMode:
     """Return the SMC whose sliding motion has the n - 1 `poles` [1/s] and that reaches s = 0 with rate kappa [1/s].
 
-    c = e_n' C^-1 prod(A - p_i I): by Ackermann's formula the motion on c x = 0 has the poles p_i. Raises ValueError for
+    c = e_n' C^-1 prod(A - p_i I): by Ackermann's formula the motion on c x = 0 has the poles p_i. Raises UserError for
     the wrong number of poles, unstable ones, or complex ones that are not in conjugate pairs.
     """
     A, b = np.asarray(A, float), np.asarray(b, float)
     poles = np.asarray(poles, complex)
     if poles.shape != (len(b) - 1,) or (np.real(poles) >= 0).any():
-        raise ValueError(f"the surface needs {len(b) - 1} stable poles, found {poles}")
+        raise UserError(f"the surface needs {len(b) - 1} stable poles, found {poles}")
     coefficients = np.asarray(np.poly(poles), complex)
     if np.abs(np.imag(coefficients)).max() > 1e-9 * np.abs(coefficients).max():
-        raise ValueError(f"complex poles must come in conjugate pairs, found {poles}")
+        raise UserError(f"complex poles must come in conjugate pairs, found {poles}")
     if kappa < 0.0 or rho < 0.0:
-        raise ValueError(f"kappa and rho must be non-negative, found {kappa} 1/s and {rho} V")
+        raise UserError(f"kappa and rho must be non-negative, found {kappa} 1/s and {rho} V")
     Phi = chain_form(A, b).Phi  # its rows are q, qA, ..., so c = sum of coefficient times row
     c = np.real(coefficients)[::-1] @ Phi
     return SlidingMode(c=c, k_eq=-(c @ A + kappa * c), rho=rho)
@@ -62,12 +64,12 @@ def fitted_smc(A: Array, b: Array) -> SlidingMode:
 def linear_pole_smc(A: Array, b: Array, k_lin: Array) -> SlidingMode:
     """Return SMC2: its linear part is exactly k_lin; the surface keeps all closed-loop poles but the fastest real one.
 
-    That pole becomes the reaching rate kappa; rho = 1 V. Raises ValueError where the closed loop has no real pole.
+    That pole becomes the reaching rate kappa; rho = 1 V. Raises UserError where the closed loop has no real pole.
     """
     A, b = np.asarray(A, float), np.asarray(b, float)
     poles = np.linalg.eigvals(A + np.outer(b, k_lin))
     real = np.flatnonzero(np.abs(poles.imag) < 1e-9 * np.abs(poles).max())
     if not real.size:
-        raise ValueError("the linear closed loop must have a real pole to serve as the reaching rate, found none")
+        raise UserError("the linear closed loop must have a real pole to serve as the reaching rate, found none")
     fastest = real[np.argmin(poles[real].real)]
     return sliding_mode_design(A, b, np.delete(poles, fastest), kappa=-float(poles[fastest].real), rho=1.0)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from fmu_export.errors import UserError
 from fmu_export.variables import Value
 from plant_fmu.dynamics import coefficients
 from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
@@ -45,10 +46,10 @@ def nominal_values(p: QubeParameters) -> dict[str, Value]:
 def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit: float = 10.0) -> dict[str, Value]:
     """Return the start values that a design decides.
 
-    Raises ValueError for a design of another order than the FMU's four states.
+    Raises UserError for a design of another order than the FMU's four states.
     """
     if design.n != ORDER:
-        raise ValueError(f"the controller FMU takes designs of order {ORDER}, found order {design.n}")
+        raise UserError(f"the controller FMU takes designs of order {ORDER}, found order {design.n}")
     smc = smc or fitted_smc(design.A, design.b)
     values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho}
     for name, numbers in (("k_lin", design.k_lin), ("row", design.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):

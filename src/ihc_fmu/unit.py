@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from fmu_export.errors import UserError
+
 from . import homogeneity, laws, velocity
 from .interface import (
     DISCRETIZATIONS,
@@ -57,7 +59,7 @@ class ControllerState:
 class IhcControllerUnit:
     """The digital controller between two communication points.
 
-    `values` maps every parameter of the interface to its value. Raises ValueError where they contradict each other.
+    `values` maps every parameter of the interface to its value. Raises UserError where they contradict each other.
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
@@ -71,7 +73,7 @@ class IhcControllerUnit:
         self.a_min: float = values["a_min"]
         self.b_max: float = values["b_max"]
         if self.a_min > self.b_max:
-            raise ValueError(f"a_min must not exceed b_max, found a_min = {self.a_min} and b_max = {self.b_max}")
+            raise UserError(f"a_min must not exceed b_max, found a_min = {self.a_min} and b_max = {self.b_max}")
         self.j_max: int = values["j_max"]
         self.sample_time: float = values["sample_time"]
         self.limit: float = values["voltage_limit"]
@@ -86,7 +88,7 @@ class IhcControllerUnit:
             values["capture_level"], values["capture_angle"], values["capture_velocity"], values["fall_back_angle"]
         )
         if self.capture.angle > self.capture.fall_back_angle:
-            raise ValueError(
+            raise UserError(
                 f"capture_angle must not exceed fall_back_angle, found {self.capture.angle} and "
                 f"{self.capture.fall_back_angle} rad"
             )
@@ -122,7 +124,7 @@ class IhcControllerUnit:
         self.kalman_angle: float = values["kalman_angle"]
         gain_time: float = values["kalman_sample_time"]
         if self.velocity_source == "kalman" and abs(gain_time - self.sample_time) > 1e-9 * self.sample_time:
-            raise ValueError(
+            raise UserError(
                 f"velocity_source kalman needs a gain for the sample_time, found kalman_sample_time = {gain_time:g} s and "
                 f"sample_time = {self.sample_time:g} s"
             )
@@ -138,7 +140,7 @@ class IhcControllerUnit:
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
         """Sample the inputs where a sample instant falls on `time` [s]; hold the voltage otherwise.
 
-        Returns messages for the log. Raises ValueError for a communication step of which the sample time is no multiple.
+        Returns messages for the log. Raises UserError for a communication step of which the sample time is no multiple.
         """
         if step != self.checked_step:
             self._check_step(step)
@@ -147,7 +149,7 @@ class IhcControllerUnit:
         if index < state.next_sample:
             return []
         if index > state.next_sample:
-            raise ValueError(f"sample {state.next_sample} of sample_time {self.sample_time:g} s was stepped over")
+            raise UserError(f"sample {state.next_sample} of sample_time {self.sample_time:g} s was stepped over")
         state.next_sample += 1
         try:
             return self.sample(inputs)
@@ -209,7 +211,7 @@ class IhcControllerUnit:
     def _check_step(self, step: float) -> None:
         ratio = self.sample_time / step
         if ratio < 1.0 - 1e-6 or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise ValueError(
+            raise UserError(
                 f"sample_time must be a multiple of the communication step, found sample_time = {self.sample_time:g} s "
                 f"and a communication step of {step:g} s"
             )

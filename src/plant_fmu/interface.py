@@ -107,7 +107,7 @@ INTERFACE = Interface(
 def start_values(chosen: str | ParameterSet) -> dict[str, Value]:
     """Return the start values that turn the plant into a parameter set, given or named.
 
-    Raises ValueError for an unknown name.
+    Raises UserError for an unknown name.
     """
     chosen = parameter_set(chosen)
     values: dict[str, Value] = {f.name: getattr(chosen.parameters, f.name) for f in fields(QubeParameters)}

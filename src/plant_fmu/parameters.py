@@ -6,6 +6,8 @@ import math
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
+from fmu_export.errors import UserError
+
 PAPER = "Cruz-Ortiz et al., section V"
 RODS = "uniform rod about its centre, J = m L^2 / 12"
 
@@ -19,7 +21,7 @@ def _number(unit: str, description: str, source: str, *, positive: bool = True, 
 class QubeParameters:
     """The constants of eq. (5) and of the motor, tau = k_m (V - k_m theta') / R_m.
 
-    Raises ValueError where a value is not finite, or an inertia, mass, length or electrical constant is not positive,
+    Raises UserError where a value is not finite, or an inertia, mass, length or electrical constant is not positive,
     or a damping or friction is negative.
     """
 
@@ -43,7 +45,7 @@ class QubeParameters:
             value = getattr(self, entry.name)
             rule = "positive" if entry.metadata["positive"] else "non-negative"
             if not math.isfinite(value) or value < 0 or (value == 0 and rule == "positive"):
-                raise ValueError(f"{entry.name} must be finite and {rule}, found {value} {entry.metadata['unit']}")
+                raise UserError(f"{entry.name} must be finite and {rule}, found {value} {entry.metadata['unit']}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +114,10 @@ PARAMETER_SETS: dict[str, ParameterSet] = {
 
 
 def parameter_set(name: str | ParameterSet) -> ParameterSet:
-    """Return the named set, and a set as it is; raise ValueError that lists the names for another name."""
+    """Return the named set, and a set as it is; raise UserError that lists the names for another name."""
     if isinstance(name, ParameterSet):
         return name
     try:
         return PARAMETER_SETS[name]
     except KeyError:
-        raise ValueError(f"parameter set must be one of {', '.join(PARAMETER_SETS)}, found {name!r}") from None
+        raise UserError(f"parameter set must be one of {', '.join(PARAMETER_SETS)}, found {name!r}") from None

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from math import cos, floor, log, pi, sqrt
 
+from fmu_export.errors import UserError
+
 _MASK = (1 << 64) - 1
 _GOLDEN = 0x9E3779B97F4A7C15
 
@@ -42,11 +44,11 @@ def next_gaussian(state: int) -> tuple[int, float]:
 def delay_in_steps(delay: float, step: float) -> int:
     """Return the measurement delay as a number of communication steps.
 
-    Raises ValueError where the delay is not a multiple of the step.
+    Raises UserError where the delay is not a multiple of the step.
     """
     steps = round(delay / step)
     if abs(delay / step - steps) > 1e-6:
-        raise ValueError(
+        raise UserError(
             f"measurement_delay must be a multiple of the communication step, found {delay:g} s with a step of {step:g} s"
         )
     return steps

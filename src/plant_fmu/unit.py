@@ -11,6 +11,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
+from fmu_export.errors import UserError
+
 from . import dynamics, sensors
 from .integrator import rk4_step, substeps
 from .interface import MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
@@ -25,7 +27,7 @@ Measurement = tuple[float, float]
 class QubePlant:
     """The rotary pendulum between two communication points.
 
-    `values` maps every parameter of the interface to its value. Raises ValueError where they contradict each other.
+    `values` maps every parameter of the interface to its value. Raises UserError where they contradict each other.
     """
 
     def __init__(self, values: Mapping[str, Any]) -> None:
@@ -64,17 +66,17 @@ class QubePlant:
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
         """Advance from `time` by `step` [s] with `inputs` (voltage, disturbance_voltage, pendulum_torque) held.
 
-        Returns messages for the log (none). Raises ValueError for a step that cannot work or inputs that are not finite,
+        Returns messages for the log (none). Raises UserError for a step that cannot work or inputs that are not finite,
         and ArithmeticError where the state stops being finite; the unit is then as it was.
         """
         voltage, disturbance, tau_p = inputs
         if not math.isfinite(voltage + disturbance + tau_p):
-            raise ValueError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = {inputs}")
+            raise UserError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = {inputs}")
         limit = self.voltage_limit
         applied = min(limit, max(-limit, voltage + disturbance))
         count = substeps(step, self.longest_step)
         if count > MAX_SUBSTEPS:
-            raise ValueError(
+            raise UserError(
                 f"a communication step must not exceed {MAX_SUBSTEPS} internal steps of {self.solver_step:g} s, found "
                 f"{step:g} s"
             )
@@ -147,12 +149,12 @@ class QubePlant:
     def _delay_steps(self, step: float) -> int:
         """Return the delay as a number of communication steps, which may not change once one has been taken."""
         if self.delayed_step and abs(step - self.delayed_step) > 1e-6 * step:
-            raise ValueError(
+            raise UserError(
                 f"the communication step must stay the same with a measurement_delay, found {step:g} s after "
                 f"{self.delayed_step:g} s"
             )
         if self.delay / step > MAX_DELAY_STEPS + 0.5:
-            raise ValueError(
+            raise UserError(
                 f"measurement_delay must not exceed {MAX_DELAY_STEPS} communication steps, found {self.delay:g} s with a "
                 f"step of {step:g} s"
             )

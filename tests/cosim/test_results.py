@@ -3,7 +3,7 @@
 import csv
 import json
 import math
-from pathlib import Path
+import os
 
 import fmpy.util
 import numpy as np
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from cosim.errors import UserError
-from cosim.results import FORMAT, Result, versions, write_beside
+from cosim.results import FORMAT, Result, versions
 
 SMALLEST = 5e-324
 JSON = st.recursive(
@@ -132,25 +132,6 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
         Result.load(tmp_path / "result.csv")
 
 
-@pytest.mark.parametrize("stop", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-@pytest.mark.parametrize("stage", ["write_bytes", "replace"])
-def test_a_write_that_stops_leaves_the_earlier_file_and_no_other(tmp_path, monkeypatch, stop, stage):
-    path = tmp_path / "kept.txt"
-    write_beside(path, "earlier")
-    whole = Path.write_bytes
-
-    def halfway(self, *content):
-        if stage == "write_bytes":
-            whole(self, content[0][:3])
-        raise stop
-
-    monkeypatch.setattr(Path, stage, halfway)
-    with pytest.raises(type(stop)):
-        write_beside(path, "later")
-    assert [file.name for file in tmp_path.iterdir()] == ["kept.txt"]
-    assert path.read_text(encoding="utf-8") == "earlier"
-
-
 @pytest.mark.parametrize("stage", ["disk", "metadata"])
 def test_a_save_that_fails_leaves_the_earlier_result(tmp_path, monkeypatch, stage):
     path = tmp_path / "result.csv"
@@ -159,16 +140,10 @@ def test_a_save_that_fails_leaves_the_earlier_result(tmp_path, monkeypatch, stag
     later = Result(np.array([5.0]), {}, {}, {"not JSON": object()} if stage == "metadata" else {})
     with monkeypatch.context() as patched:
         if stage == "disk":
-            patched.setattr(Path, "write_bytes", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
-        with pytest.raises((OSError, TypeError)):
+            patched.setattr(os, "fsync", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left")))
+        with pytest.raises((UserError, TypeError)):
             later.save(path)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
-
-
-def test_write_beside_makes_the_folder_and_takes_text_and_bytes(tmp_path):
-    for content in ("µ", "µ".encode()):
-        write_beside(tmp_path / "new" / "folder" / "file", content)
-        assert (tmp_path / "new" / "folder" / "file").read_bytes() == "µ".encode()
 
 
 def test_versions_name_all_that_computes():

@@ -124,7 +124,12 @@ def test_bundle_holds_the_units_own_package_and_the_shared_ones_only(name, fmus)
     assert bundle.startswith(f"{name}_")
     packages = {parts[1] for parts in modules if len(parts) > 2}
     assert packages == {UNIT_PACKAGES[name], "fmu_export", "pythonfmu"}
-    assert {parts[2] for parts in modules if parts[1] == "fmu_export"} == {"__init__", "guarded_slave", "variables"}
+    assert {parts[2] for parts in modules if parts[1] == "fmu_export"} == {
+        "__init__",
+        "errors",
+        "guarded_slave",
+        "variables",
+    }
     offline = {"design", "certificate", "start_values", "sliding_mode", "linearization"}
     assert {parts[2] for parts in modules if len(parts) > 2} & offline == set()
 
