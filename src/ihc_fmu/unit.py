@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmu_export.errors import UserError
 
@@ -27,9 +27,22 @@ from .interface import (
 )
 from .nominal_model import nominal_model
 from .supervisor import Capture, Fault, Mode, next_mode
-from .swing_up import swing_up, swing_up_voltage
+from .swing_up import saturate, swing_up, swing_up_voltage
+from .velocity import LEAST, flushed
 
 TURN = 2.0 * math.pi
+NOT_FINITE = "the command is not finite"
+MOST = 2.0**400
+"""Bound on a control that is then multiplied by 2^homogeneity.SHIFT: beyond any voltage limit, within the numbers."""
+
+
+class ChainState(NamedTuple):
+    """A state as the norm and the homogeneous law take it: x = 2^-shift times the state, z = Phi x."""
+
+    shift: int
+    x: list[float]
+    z: list[float]
+    polynomial: homogeneity.NormPolynomial
 
 
 @dataclass(slots=True)
@@ -106,9 +119,9 @@ class IhcControllerUnit:
             for j in range(i, ORDER):
                 P[i][j] = P[j][i] = next(upper)
         self.k_lin = [values[name] for name in vector("k_lin")]
-        row = [values[name] for name in vector("row")]
+        self.row = [values[name] for name in vector("row")]
         Phi_t = homogeneity.transpose(self.Phi)
-        columns = [[k + r, r] for k, r in zip(self.k_lin, row, strict=True)]
+        columns = [[k + r, r] for k, r in zip(self.k_lin, self.row, strict=True)]
         self.kz, self.row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
         self.Pz = homogeneity.to_chain(self.Phi, P)
         self.mu: float = values["mu"]
@@ -134,7 +147,7 @@ class IhcControllerUnit:
         self.state.start_time = time
         if all(map(math.isfinite, inputs)):
             x = self._first_estimate(inputs)
-            self.state.norm = homogeneity.homogeneous_norm(self._norm_polynomial(x)[1], self.mu)
+            self.state.norm = homogeneity.homogeneous_norm(self._chain_state(x).polynomial, self.mu)
         return []
 
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
@@ -153,8 +166,8 @@ class IhcControllerUnit:
         state.next_sample += 1
         try:
             return self.sample(inputs)
-        except (OverflowError, ValueError) as error:  # finite measurements beyond the range of numbers on the way
-            return self._fail(Fault.NON_FINITE_CONTROL, str(error))
+        except (ArithmeticError, ValueError):  # finite measurements beyond the range of numbers on the way
+            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
 
     def sample(self, inputs: tuple[float, ...]) -> list[str]:
         """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
@@ -164,16 +177,17 @@ class IhcControllerUnit:
             return self._fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
         if state.mode == Mode.FAULT:
             return []
+        inputs = tuple([flushed(value, LEAST) for value in inputs])
         x = self._estimate(inputs, self._unwrap(inputs[1])) if state.primed else self._prime(inputs)
         if not math.isfinite(x[0] + x[1] + x[2] + x[3]):
-            return self._fail(Fault.NON_FINITE_CONTROL, f"x = {x}")
-        z, polynomial = self._norm_polynomial(x)
-        state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
+            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        chain = self._chain_state(x)
+        state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         earlier = state.mode
         state.mode = next_mode(
             earlier,
             self.capture,
-            homogeneity.squared_norm(polynomial, self.mu, 1.0),
+            homogeneity.squared_norm(chain.polynomial, self.mu, 1.0),
             x[1],
             x[3],
             enabled=self.values["enabled"],
@@ -182,15 +196,15 @@ class IhcControllerUnit:
         if state.mode == Mode.STABILIZING and earlier != Mode.STABILIZING:
             state.interval = (self.a_min, self.b_max)
             x = self._use_filter(inputs, x)
-            z, polynomial = self._norm_polynomial(x)
-            state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
+            chain = self._chain_state(x)
+            state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         state.theta_dot, state.delta_dot = x[2], x[3]
-        command = self._command(x, z, polynomial)
+        command = self._command(x, chain)
         if self.compensate and state.mode == Mode.STABILIZING:
             command -= state.disturbance  # 0 without the Kalman filter
         if not math.isfinite(command):
-            return self._fail(Fault.NON_FINITE_CONTROL, f"u = {command}")
-        state.voltage = min(self.limit, max(-self.limit, command))
+            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        state.voltage = saturate(command, self.limit)
         return []
 
     def outputs(self) -> tuple[float, ...]:
@@ -288,11 +302,14 @@ class IhcControllerUnit:
         delta = math.remainder(inputs[1], TURN)
         return [inputs[0], delta, self.state.theta_dot, self.state.delta_dot]
 
-    def _norm_polynomial(self, x: list[float]) -> tuple[list[float], list[float]]:
+    def _chain_state(self, x: list[float]) -> ChainState:
+        shift = homogeneity.shift_of(x)
+        if shift != 0:
+            x = [entry * 2.0**-shift for entry in x]
         z = homogeneity.product(self.Phi, x)
-        return z, homogeneity.norm_polynomial(self.Pz, z)
+        return ChainState(shift, x, z, homogeneity.norm_polynomial(self.Pz, z, self.mu, shift))
 
-    def _command(self, x: list[float], z: list[float], polynomial: list[float]) -> float:
+    def _command(self, x: list[float], chain: ChainState) -> float:
         state = self.state
         state.norm_used = 1.0
         if state.mode == Mode.SWING_UP:
@@ -303,13 +320,15 @@ class IhcControllerUnit:
             return laws.linear(self.k_lin, x)
         if self.law == "SMC":
             return laws.sliding_mode(self.smc_c, self.smc_k, self.smc_rho, x)
-        r = self._norm_in_law(polynomial)
+        r = self._norm_in_law(chain.polynomial)
         state.norm_used = r
         if self.semi_implicit:
-            return laws.implicit_homogeneous_semi(self.kz, self.row_z, self.mu, r, self.sample_time, z)
-        return laws.implicit_homogeneous(self.k_lin, self.kz, self.mu, r, x, z)
+            u = laws.implicit_homogeneous_semi(self.kz, self.row_z, self.mu, r, self.sample_time, chain.z)
+        else:
+            u = laws.implicit_homogeneous(self.k_lin, self.row, self.kz, self.mu, r, chain.x, chain.z)
+        return u if chain.shift == 0 else saturate(u, MOST) * 2.0**chain.shift
 
-    def _norm_in_law(self, polynomial: list[float]) -> float:
+    def _norm_in_law(self, polynomial: homogeneity.NormPolynomial) -> float:
         state = self.state
         if self.exact:
             return state.norm if math.isnan(state.norm) else min(self.b_max, max(self.a_min, state.norm))

@@ -143,23 +143,30 @@ void ihc_get_outputs(const ihc_state *s, ihc_outputs *y);
 
 /* The parts, for tests and other units. */
 
-/* c_0 ... c_{2n-2} of Remark 5's polynomial. */
-void ihc_norm_polynomial(const double Pz[IHC_ORDER][IHC_ORDER], const double z[IHC_ORDER], double c[IHC_COEFFICIENTS]);
+/* c_0 ... c_{2n-2} of Remark 5's polynomial for the state d(-exponent ln 2) z. */
+typedef struct {
+    double c[IHC_COEFFICIENTS];
+    int exponent; /* 0 unless a chain coordinate is far from 1: squares leave the range of numbers before states do */
+} ihc_polynomial;
 
-/* N^2(r) = r^-2 sum c_m s^m. */
-double ihc_squared_norm(const double c[IHC_COEFFICIENTS], double mu, double r);
+/* The polynomial of the state 2^shift z. */
+void ihc_norm_polynomial(const double Pz[IHC_ORDER][IHC_ORDER], const double z[IHC_ORDER], double mu, int shift,
+                         ihc_polynomial *p);
+
+/* N^2(r) = r^-2 sum c_m s^m; 0 or infinite far from the norm of a scaled state. */
+double ihc_squared_norm(const ihc_polynomial *p, double mu, double r);
 
 /* The root of N(r) = 1 by a bracketed Newton method of at most IHC_NEWTON_LIMIT iterations. */
-double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double guess);
+double ihc_homogeneous_norm(const ihc_polynomial *p, double mu, double guess);
 
 /* One run of Algorithm 1 (corrected) on the interval [a, b]; j_max + 2 evaluations of the polynomial at most. */
-void ihc_bisection_update(const double c[IHC_COEFFICIENTS], double mu, double interval[2], double a_min, double b_max,
+void ihc_bisection_update(const ihc_polynomial *p, double mu, double interval[2], double a_min, double b_max,
                           int j_max);
 
 double ihc_law_linear(const double k_lin[IHC_ORDER], const double x[IHC_ORDER]);
 double ihc_law_sliding_mode(const double c[IHC_ORDER], const double k[IHC_ORDER], double rho, const double x[IHC_ORDER]);
-double ihc_law_homogeneous(const double k_lin[IHC_ORDER], const double kz[IHC_ORDER], double mu, double r,
-                           const double x[IHC_ORDER], const double z[IHC_ORDER]);
+double ihc_law_homogeneous(const double k_lin[IHC_ORDER], const double row[IHC_ORDER], const double kz[IHC_ORDER],
+                           double mu, double r, const double x[IHC_ORDER], const double z[IHC_ORDER]);
 double ihc_law_semi_implicit(const double kz[IHC_ORDER], const double row_z[IHC_ORDER], double mu, double r, double h,
                              const double z[IHC_ORDER]);
 
