@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from traceback import print_exception
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -19,20 +22,39 @@ if TYPE_CHECKING:
     from .results import Result
     from .tuning import Tuning
 
-console = Console()
-problems = Console(stderr=True, soft_wrap=True, highlight=False)
+console = Console(emoji=False)
+problems = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 
 
-def say_error(error: BaseException) -> None:
-    """Print an error as one sentence to the error output."""
-    problems.print(f"[bold red]error:[/] {escaped(str(error))}")
+def degrade_output() -> None:
+    """Let characters that the output cannot encode become question marks instead of an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
-def escaped(text: str) -> str:
-    """Return text whose brackets Rich does not take for markup."""
+def say_error(error: BaseException, sentence: str = "", *, traceback: bool = False) -> None:
+    """Print an error as one sentence to the error output, after its traceback where that is wanted."""
+    if traceback:
+        print_exception(error)
+    problems.print(f"[bold red]error:[/] {escaped(sentence or str(error))}")
+
+
+def say_fault(error: BaseException) -> None:
+    """Print the traceback of an error that is no one's mistake but this program's, and where to report it."""
+    from importlib.metadata import metadata
+
+    print_exception(error)
+    urls = [url.partition(",")[2].strip() for url in metadata("qube-ihc").get_all("Project-URL") or []]
+    where = f" at {urls[0]}" if urls else ""
+    problems.print(f"[bold red]fault:[/] this is an error of qube-ihc; please report it{where} with the lines above")
+
+
+def escaped(thing: object) -> str:
+    """Return the text of a thing, whose brackets Rich then does not take for markup."""
     from rich.markup import escape
 
-    return escape(text)
+    return escape(str(thing))
 
 
 NARROW = 120
@@ -59,7 +81,7 @@ def warn_of_messages(result: Result) -> None:
     """Print what the FMUs of a run logged."""
     for instance, messages in result.metadata.get("messages", {}).items():
         for message in messages:
-            problems.print(f"[yellow]{instance}:[/] {escaped(message)}")
+            problems.print(f"[yellow]{escaped(instance)}:[/] {escaped(message)}")
 
 
 def print_metrics(result: Result) -> None:
@@ -95,7 +117,7 @@ def print_comparison(comparison: Comparison) -> None:
     laws = list(comparison.results)
     count = len(comparison.draws) // len(laws)
     drawn = f"medians over {count} draws of the encoder offsets" if count > 1 else "one run"
-    table = Table(title=f"{comparison.scenario.name}: {drawn}", title_justify="left")
+    table = Table(title=escaped(f"{comparison.scenario.name}: {drawn}"), title_justify="left")
     headings = (
         "settling [s]",
         "∫|q|² dt [rad² s]",
@@ -147,7 +169,7 @@ def progress() -> Progress:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
@@ -163,7 +185,9 @@ def print_design(found: Design) -> None:
     def row(values: Iterable[float]) -> str:
         return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
 
-    table = Table(title=f"implicit homogeneous controller, {found.method}", show_header=False, title_justify="left")
+    table = Table(
+        title=escaped(f"implicit homogeneous controller, {found.method}"), show_header=False, title_justify="left"
+    )
     table.add_row("k_lin", row(found.k_lin))
     table.add_row("k = k_lin + row", row(found.k))
     table.add_row("P", "\n".join(row(line) for line in found.P))

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from fmu_export.files import write_file
+from fmu_export.errors import UserError
+from fmu_export.files import read_json, staging, write_file
 
 from .campaign import Job, run_all
 from .master import Coupling
@@ -19,6 +22,7 @@ from .results import Result
 from .scenario import Scenario, build_system
 
 LAWS = ("LC", "SMC", "IHC")
+ABOUT = "comparison.json"
 
 
 @dataclass(frozen=True)
@@ -51,8 +55,24 @@ class Comparison:
         median = float(np.median([math.inf if math.isnan(v) else v for v in values]))
         return median if math.isfinite(median) else math.nan
 
-    def save(self, folder: Path) -> None:
-        """Write each law's result, all draws as comparison.csv and the medians as comparison.json to `folder`."""
+    def save(self, folder: Path, pictures: Callable[[Path], object] | None = None) -> None:
+        """Write each law's result, all draws as comparison.csv, what `pictures` writes to a folder, and comparison.json.
+
+        The last has the medians, and under `files` the SHA-256 of each of the others. They reach `folder` together, and
+        what an earlier comparison has left there and this one does not replace is removed.
+        """
+        earlier = _files_of(folder / ABOUT)
+        with staging(folder, last=ABOUT) as place:
+            self._save(place)
+            if pictures is not None:
+                pictures(place)
+            about = {**self._about(), "files": _digests(place)}
+            write_file(place / ABOUT, json.dumps(about, indent=1) + "\n")
+        for name in earlier.keys() - about["files"].keys():
+            if _sha256(folder / name) == earlier[name]:
+                (folder / name).unlink()
+
+    def _save(self, folder: Path) -> None:
         for law, result in self.results.items():
             result.save(folder / f"{law}.csv")
         lines = [",".join(["law", "seed", *NAMES])]
@@ -60,14 +80,32 @@ class Comparison:
             seed = "" if d.seed is None else str(d.seed)
             lines.append(",".join([d.law, seed, *(repr(getattr(d.metrics, n)) for n in NAMES)]))
         write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
+
+    def _about(self) -> dict[str, Any]:
         laws = list(self.results)
         medians = {law: {n: _json_number(self.median(law, n)) for n in NAMES} for law in laws}
-        about = {
+        return {
             "scenario": self.scenario.model_dump(mode="json"),
             "draws": len(self.draws) // len(laws),
             "median": medians,
         }
-        write_file(folder / "comparison.json", json.dumps(about, indent=1) + "\n")
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    return {path.name: _sha256(path) for path in sorted(folder.iterdir())}
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def _files_of(path: Path) -> dict[str, str]:
+    """Return the digests by plain names that an earlier comparison.json holds; none where there is no such thing."""
+    try:
+        files = read_json(path, "comparison")["files"]
+        return {str(name): str(digest) for name, digest in files.items() if Path(name).name == name}
+    except (UserError, LookupError, TypeError, AttributeError):  # not there, or another's: nothing of it is ours
+        return {}
 
 
 def _json_number(value: float) -> float | None:

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fmu_export.guarded_slave import GuardedSlave
+    from fmu_export.native_unit import NativeUnit
+    from fmu_export.variables import Value
     from ihc_fmu.design import Design
 
 
@@ -39,12 +42,10 @@ def export_units(
 
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
     that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` as in
-    `export_native_fmu`. Raises
-    ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
+    `export_native_fmu`. The three reach the folder together: where one fails, earlier ones stay as they are. Raises
+    UserError for what cannot be exported, and BuildError for a missing binary or compiler.
     """
-    from fmu_export.native_fmu import export_native_fmu
-    from fmu_export.python_fmu import export_python_fmu
-    from fmu_export.ssp import write_ssp
+    from fmu_export.files import staging
     from ihc_fmu.documentation import notes as controller_notes
     from ihc_fmu.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.slave import IhcController
@@ -56,7 +57,6 @@ def export_units(
     from plant_fmu.slave import QubeServo2
 
     from .parameter_files import chosen
-    from .scenario import WIRES
 
     plant_set, nominal_set = chosen(parameters), chosen(nominal)
     changes = {"plant": {}, "controller": {}, **(changes or {})}
@@ -73,6 +73,24 @@ def export_units(
     )
     for native, _, start, _ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
+    with staging(output) as place:
+        names = [path.name for path in _export(plans, place, kind, platforms)]
+    return [output / name for name in names]
+
+
+def _export(
+    plans: Sequence[tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str]],
+    output: Path,
+    kind: Kind,
+    platforms: Sequence[str] | None,
+) -> list[Path]:
+    """Write the FMUs of plant and controller and the SSP that holds both."""
+    from fmu_export.native_fmu import export_native_fmu
+    from fmu_export.python_fmu import export_python_fmu
+    from fmu_export.ssp import write_ssp
+
+    from .scenario import WIRES
+
     paths = []
     for native, slave, start, notes in plans:
         path = output / f"{native.interface.name}.fmu"

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from fmu_export.files import write_file
+from fmu_export.files import staging, write_file
 from fmu_export.variables import Value
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.start_values import design_values
@@ -227,10 +227,8 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
         row = (*point, o.measure, o.chattering, o.kept, o.draws, int(point in tuning.stops))
         lines.append(",".join(map(repr, row)))
-    write_file(folder / "tuning.csv", "\n".join(lines) + "\n")
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
-    design.save(folder / "best.json")
     plant, controller, _ = files(problem.scenario, problem.fmus, problem.folder)
     moved = {
         f"{unit}.fmu": os.path.relpath(path, folder)
@@ -240,12 +238,16 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     own = {"controller.design": "best.json", "record.every": 1}
     start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
     start = {f"controller.start.{name}": value for name, value in start.items()}
-    write_file(folder / "best.toml", problem.scenario.changed({**own, **start, **moved}).to_toml())
+    scenario = problem.scenario.changed({**own, **start, **moved}).to_toml()
     title = (
         f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
         "square: where the rule stops; triangle: there with b_max raised"
     )
-    save_figure(_landscape(tuning), folder / "landscape.png", title)
+    with staging(folder) as place:
+        write_file(place / "tuning.csv", "\n".join(lines) + "\n")
+        write_file(place / "best.toml", scenario)
+        design.save(place / "best.json")
+        save_figure(_landscape(tuning), place / "landscape.png", title)
     return [folder / name for name in ("tuning.csv", "landscape.png", "best.toml", "best.json")]
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmu_export.files import staging, uninterrupted
 from fmu_export.variables import did_you_mean
 
 from ..display import console, escaped, print_metrics, print_results, problems, progress
@@ -182,9 +183,9 @@ def _run(
     output.mkdir(parents=True, exist_ok=True)
     for path, rows in recover(output):
         if rows is None:
-            problems.print(f"[yellow]note:[/] {path} is not the log of a run; it stays as it is")
+            problems.print(f"[yellow]note:[/] {escaped(path)} is not the log of a run; it stays as it is")
         else:
-            console.print(f"recovered {rows} rows of a run that was killed: {path}")
+            console.print(f"recovered {rows} rows of a run that was killed: {escaped(path)}")
     path = free_path(output, "run")
     loop = Loop(
         device,
@@ -203,13 +204,15 @@ def _run(
         loop.log.close()
         if live is not None:
             live.wait()
-    try:
-        if len(report.result.time):
-            report.result.save(path)
-    except OSError:
-        problems.print(f"the rows are safe in {loop.log.path}; the next run into this folder makes a result of them")
-        raise
-    loop.log.discard()
+    with uninterrupted():
+        try:
+            if len(report.result.time):
+                report.result.save(path)
+        except UserError:
+            where = escaped(loop.log.path)
+            problems.print(f"the rows are safe in {where}; the next run into this folder makes a result of them")
+            raise
+        loop.log.discard()
     _print_report(report, path)
     if report.stop == "signal" and not report.failures:
         raise typer.Exit(128 + report.signal)
@@ -253,11 +256,12 @@ def _print_report(report: Report, path: Path) -> None:
     )
     for name, count in about["counters"].items():
         if count:
-            console.print(f"{name}: {count}", highlight=False)
-    console.print(f"wrote {path} and {path.with_suffix('.json')}", soft_wrap=True)
+            console.print(f"{escaped(name)}: {count}", highlight=False)
+    console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}", soft_wrap=True)
     if can_evaluate(result) and len(result.time) > 1:
         if "controller.homogeneous_norm" in result.signals:
-            console.print(f"wrote {save_overview(result, path.with_suffix('.png'), about['device'])}", soft_wrap=True)
+            picture = save_overview(result, path.with_suffix(".png"), about["device"])
+            console.print(f"wrote {escaped(picture)}", soft_wrap=True)
         print_metrics(result)
 
 
@@ -332,8 +336,8 @@ def replay(run: RunArgument, controller: ControllerOption = None, fmus: FmusOpti
         return
     first = found.first
     console.print(
-        f"not exact: {found.differing} of {found.samples} rows differ, the first at {first.time:g} s: {first.name} is "
-        f"{first.logged!r} in the log and {first.replayed!r} in the replay",
+        f"not exact: {found.differing} of {found.samples} rows differ, the first at {first.time:g} s: "
+        f"{escaped(first.name)} is {first.logged!r} in the log and {first.replayed!r} in the replay",
         soft_wrap=True,
     )
     raise typer.Exit(FAILED)
@@ -371,13 +375,14 @@ def overlay(
             lambda done, total: bar.update(task, completed=done, total=total),
         )
     folder = output or run.with_name(f"{run.stem}_overlay")
-    simulated.save(folder / "simulation.csv")
     both = {"device": measured, "simulation": as_seen(simulated, measured)}
-    save_comparison(both, folder, f"{run.name} and its simulation with {chosen}")
+    with staging(folder) as place:
+        simulated.save(place / "simulation.csv")
+        save_comparison(both, place, f"{run.name} and its simulation with {chosen}")
     print_results(both)
     for name, value in differences(measured, simulated).items():
-        console.print(f"RMS difference of {name}: {value:.4g} {measured.units[name]}", highlight=False)
-    console.print(f"simulation and pictures in {folder}", soft_wrap=True)
+        console.print(f"RMS difference of {name}: {value:.4g} {escaped(measured.units[name])}", highlight=False)
+    console.print(f"simulation and pictures in {escaped(folder)}", soft_wrap=True)
 
 
 def identify(
@@ -415,8 +420,8 @@ def identify(
         )
     path = output or run.with_name(f"{run.stem}_parameters.toml")
     parameter_files.save(path, found.parameters)
-    table = Table(title=f"{run.name}: parameters and 95 % confidence intervals", title_justify="left")
-    for heading in ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"):
+    table = Table(title=f"{escaped(run.name)}: parameters and 95 % confidence intervals", title_justify="left")
+    for heading in ("parameter", "fitted", "from", "to", f"in {escaped(start.name)}", "unit"):
         table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
     units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
     for name, e in found.estimates.items():
@@ -431,7 +436,7 @@ def identify(
         f"{found.segments} segments; one encoder count is {RESOLUTION:.3g} rad",
         soft_wrap=True,
     )
-    console.print(f"wrote {path}", soft_wrap=True)
+    console.print(f"wrote {escaped(path)}", soft_wrap=True)
 
 
 def _controller_fmu(result: Result, controller: Path | None, fmus: Path) -> Path:
