@@ -250,7 +250,7 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
     if design is not None:
         controller_start |= _design_values(design)
     if scenario.plant.measurement == "ideal":
-        controller_start["velocity_source"] = "input"
+        controller_start["velocity_source"] = "inputs"
     controller_start |= scenario.controller.start
     if controller_start.get("velocity_source") in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
         controller_start = _kalman_values(controller_fmu, controller_start) | controller_start

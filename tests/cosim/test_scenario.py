@@ -258,7 +258,7 @@ def test_parameter_sets_become_start_values_of_the_plant(fmus, name):
 def test_ideal_measurement_wires_the_true_state(fmus):
     scenario = Scenario().changed({"plant.measurement": "ideal", "run.duration": 0.01, "plant.start.theta_dot_0": 0.5})
     system = build_system(scenario, fmus)
-    assert start_of(system, "controller")["velocity_source"] == "input"
+    assert start_of(system, "controller")["velocity_source"] == "inputs"
     ends = {(w.source, w.target) for w in system.wires}
     states = ("theta", "delta", "theta_dot", "delta_dot")
     assert ends == {(f"plant.{s}", f"controller.{s}") for s in states} | {("controller.voltage", "plant.voltage")}
