@@ -8,7 +8,6 @@ in the measurement chain of a scenario, on the same draws of encoder offsets and
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -221,7 +220,7 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
 def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
-    The scenario names FMUs that lie beside the tuned one by their path from `folder`.
+    FMUs that lie beside the tuned scenario are copied beside the new one.
     """
     lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},{CHATTERING},kept,draws,stop"]
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
@@ -231,16 +230,13 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
     design.save(folder / "best.json")
-    plant, controller, _ = files(problem.scenario, problem.fmus, problem.folder)
-    moved = {
-        f"{unit}.fmu": os.path.relpath(path, folder)
-        for unit, path in (("plant", plant), ("controller", controller))
-        if path.parent.absolute() != problem.fmus.absolute()
-    }
+    for path in files(problem.scenario, problem.fmus, problem.folder)[:2]:
+        if path.parent.absolute() != problem.fmus.absolute():
+            write_file(folder / path.name, path.read_bytes())
     own = {"controller.design": "best.json", "record.every": 1}
     start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
     start = {f"controller.start.{name}": value for name, value in start.items()}
-    write_file(folder / "best.toml", problem.scenario.changed({**own, **start, **moved}).to_toml())
+    write_file(folder / "best.toml", problem.scenario.changed({**own, **start}).to_toml())
     title = (
         f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
         "square: where the rule stops; triangle: there with b_max raised"
