@@ -250,7 +250,11 @@ def _root(c: Vector, mu: float, guess: float) -> float:
         if abs(step) <= CONVERGED:
             return exp(sigma + step)
         following = sigma + max(-4.0, min(4.0, step))
-        if -UNBOUNDED < low and high < UNBOUNDED and not (low < following < high and abs(following - sigma) <= 0.5 * last):
+        if (
+            low > -UNBOUNDED
+            and high < UNBOUNDED
+            and not (low < following < high and abs(following - sigma) <= 0.5 * last)
+        ):
             following = 0.5 * (low + high)
         last = abs(following - sigma)
         if last <= 1e-15 * max(1.0, abs(sigma)):

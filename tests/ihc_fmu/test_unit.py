@@ -70,7 +70,11 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
         ({"law": "LC"}, design.k_lin @ x, 1.0),
         ({"law": "SMC"}, laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x), 1.0),
         ({}, laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, estimate, x, z), estimate),
-        ({"norm_solver": "exact"}, laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, exact, x, z), exact),
+        (
+            {"norm_solver": "exact"},
+            laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, exact, x, z),
+            exact,
+        ),
         (
             {"norm_solver": "exact", "discretization": "semi_implicit"},
             laws.implicit_homogeneous_semi(design.kz, row_z, 1.0, exact, 1e-3, z),
