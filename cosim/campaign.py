@@ -21,7 +21,7 @@ import cosim
 import fmu_export
 import ihc_fmu
 import plant_fmu
-from fmu_export.files import read_bytes
+from fmu_export.reading import first_bytes, read_bytes
 
 from . import parameter_files
 from .errors import SimulationError, UserError
@@ -139,7 +139,7 @@ class Journal:
         self._owner = secrets.token_hex(8)
         self._lock = threading.Lock()  # `found` is called in the threads of the runs
         self._file: sqlite3.Connection | None = None
-        head = read_bytes(path, "journal")[: len(SQLITE_HEAD)] if path.exists() else b""
+        head = first_bytes(path, "journal", len(SQLITE_HEAD)) if path.exists() else b""
         if head.startswith(EARLIER_JOURNAL):
             raise UserError(f"{path} is a journal of an earlier version, in lines of JSON; delete or rename it")
         if head not in (b"", SQLITE_HEAD):

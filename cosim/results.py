@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from pydantic_core import to_json
 
-from fmu_export.files import read_bytes, read_json, uninterrupted, write_files
+from fmu_export.files import uninterrupted, write_files
+from fmu_export.reading import read_bytes, read_json
 
 from .errors import UserError
 
@@ -28,6 +29,9 @@ EARLIER_FORMATS = ("qube-ihc result 1",)
 
 ROWS_AT_ONCE = 500
 """Rows that become text together: few enough for the processor's caches."""
+
+MOST_BYTES = 8 * 2**30
+"""Size of the largest table that is read [byte]."""
 
 Array = np.ndarray
 
@@ -73,7 +77,7 @@ class Result:
     @classmethod
     def load(cls, path: Path) -> Result:
         """Read a CSV and the JSON that describes it; raise UserError that names the file and what does not fit."""
-        content = read_bytes(path, "result")
+        content = read_bytes(path, "result", MOST_BYTES)
         header = _description(path.with_suffix(".json"))
         rows = content.count(b"\n") - 1
         if rows != header["rows"]:

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import VELOCITY_SOURCES
@@ -19,8 +19,10 @@ from plant_fmu.parameters import PARAMETER_SETS
 from . import parameter_files
 from .errors import UserError
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
+from .names import PlainName
 from .results import Result
 from .toml_files import read_toml
+from .typed import Finite, Positive, checked
 
 BUILT_IN = Path(__file__).parent / "scenarios"
 
@@ -38,8 +40,6 @@ WIRES = {
 }
 """How the two units are wired, by the measurement that the controller gets."""
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 StartValue = bool | int | float | str
 
 
@@ -63,6 +63,7 @@ class RunSection(_Section):
         None,
         ge=0,
         lt=2**31,
+        strict=True,
         description="draws the encoders' sub-count offsets and seeds the noise; none: the FMU's start values",
     )
 
@@ -70,7 +71,9 @@ class RunSection(_Section):
 class PlantSection(_Section):
     """The plant FMU."""
 
-    fmu: str = Field("QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario")
+    fmu: PlainName = Field(
+        "QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario"
+    )
     parameters: str | None = Field(
         "ident",
         description=f"named set: {', '.join(PARAMETER_SETS)}; or a file *.toml, beside the scenario or in the current "
@@ -85,7 +88,9 @@ class PlantSection(_Section):
 class ControllerSection(_Section):
     """The controller FMU."""
 
-    fmu: str = Field("IhcController.fmu", description="file, in the folder given to the command or beside the scenario")
+    fmu: PlainName = Field(
+        "IhcController.fmu", description="file, in the folder given to the command or beside the scenario"
+    )
     design: str | None = Field(
         None, description="design file beside the scenario; none: the design exported in the FMU"
     )
@@ -139,13 +144,15 @@ class RecordSection(_Section):
     """What is kept."""
 
     outputs: tuple[str, ...] | None = Field(None, description="outputs as instance.variable; none: all")
-    every: int = Field(1, ge=1, description="keep every n-th communication point, and the first and the last")
+    every: int = Field(
+        1, ge=1, strict=True, description="keep every n-th communication point, and the first and the last"
+    )
 
 
 class Scenario(_Section):
     """One run's description. `name` is the file's; every section and every entry has a default."""
 
-    name: str = "scenario"
+    name: PlainName = "scenario"
     description: str = ""
     run: RunSection = RunSection()  # type: ignore[call-arg]
     plant: PlantSection = PlantSection()  # type: ignore[call-arg]
@@ -205,10 +212,7 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
 
 
 def _validated(data: dict[str, Any], source: str) -> Scenario:
-    try:
-        scenario = Scenario.model_validate(data)
-    except ValidationError as error:
-        raise UserError(f"{source}: {_first_problem(error)}") from None
+    scenario = checked(Scenario, data, source)
     try:
         step_count(scenario.run.step, scenario.run.duration)
         if scenario.plant.parameters is not None:
@@ -218,26 +222,10 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def _first_problem(error: ValidationError) -> str:
-    problem = error.errors()[0]
-    if problem["loc"][-1] in ("bool", "int", "float", "str"):
-        place = ".".join(map(str, problem["loc"][:-1]))
-        return f"{place} must be a number, true, false or a name, found {problem['input']!r}"
-    place = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        section: Any = Scenario
-        for part in problem["loc"][:-1]:
-            field = section.model_fields.get(str(part)) if hasattr(section, "model_fields") else None
-            section = field.annotation if field else section
-        known = list(getattr(section, "model_fields", {}))
-        return f"there is no entry {place}{did_you_mean(str(problem['loc'][-1]), known)}"
-    rule = problem["msg"].replace("Input should be", "must be").replace("Field required", "is required")
-    return f"{place} {rule}, found {problem['input']!r}"
-
-
-def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> System:
+def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
+    `controller` is the file of a controller FMU that the user named, in the place of the scenario's.
     Raises UserError for files that do not exist or say what cannot be, and designs that fail their certificate.
     """
     plant_start: dict[str, StartValue] = {}
@@ -246,11 +234,12 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
     if scenario.run.seed is not None:
         plant_start |= random_measurement(scenario.run.seed)
     plant_fmu, controller_fmu, design = files(scenario, fmus, folder)
+    controller_fmu = controller or controller_fmu
     controller_start: dict[str, StartValue] = {"sample_time": scenario.run.step}
     if design is not None:
         controller_start |= _design_values(design)
     if scenario.plant.measurement == "ideal":
-        controller_start["velocity_source"] = "input"
+        controller_start["velocity_source"] = "inputs"
     controller_start |= scenario.controller.start
     if controller_start.get("velocity_source") in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
         controller_start = _kalman_values(controller_fmu, controller_start) | controller_start

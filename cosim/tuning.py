@@ -8,7 +8,6 @@ in the measurement chain of a scenario, on the same draws of encoder offsets and
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -221,7 +220,7 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
 def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
-    The scenario names FMUs that lie beside the tuned one by their path from `folder`.
+    FMUs that lie beside the tuned scenario are copied beside the new one.
     """
     lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},{CHATTERING},kept,draws,stop"]
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
@@ -229,22 +228,20 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
         lines.append(",".join(map(repr, row)))
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
-    plant, controller, _ = files(problem.scenario, problem.fmus, problem.folder)
-    moved = {
-        f"{unit}.fmu": os.path.relpath(path, folder)
-        for unit, path in (("plant", plant), ("controller", controller))
-        if path.parent.absolute() != problem.fmus.absolute()
-    }
     own = {"controller.design": "best.json", "record.every": 1}
     start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
     start = {f"controller.start.{name}": value for name, value in start.items()}
-    scenario = problem.scenario.changed({**own, **start, **moved}).to_toml()
+    scenario = problem.scenario.changed({**own, **start}).to_toml()
+    used = files(problem.scenario, problem.fmus, problem.folder)[:2]
+    fmus = [path for path in used if path.parent.absolute() != problem.fmus.absolute()]
     title = (
         f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
         "square: where the rule stops; triangle: there with b_max raised"
     )
     with staging(folder) as place:
         write_file(place / "tuning.csv", "\n".join(lines) + "\n")
+        for path in fmus:
+            write_file(place / path.name, path.read_bytes())
         write_file(place / "best.toml", scenario)
         design.save(place / "best.json")
         save_figure(_landscape(tuning), place / "landscape.png", title)

@@ -109,10 +109,9 @@ def hil(
         raise UserError(f"--rate must lie in [{LOWEST_RATE:g}, {HIGHEST_RATE:g}] Hz, found {rate:g} Hz")
     chosen, folder = load_scenario(scenario)
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
-    with_fmu = chosen if controller is None else chosen.changed({"controller.fmu": str(controller.absolute())})
     if chosen.plant.measurement != "encoders":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    component, plant = build_system(with_fmu, fmus, folder).components
+    component, plant = build_system(chosen, fmus, folder, controller).components
     settings = Settings(
         rate=rate,
         duration=duration,

@@ -1,8 +1,7 @@
-"""The one way in which files are written, whole or not at all, and read, with one sentence where they cannot be."""
+"""The one way in which files are written: whole or not at all."""
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import shutil
@@ -11,7 +10,7 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from .errors import UserError
 
@@ -88,36 +87,6 @@ def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
         for empty in made:
             with suppress(OSError):  # not empty: the block ended well, or others wrote there meanwhile
                 empty.rmdir()
-
-
-def read_bytes(path: Path, what: str) -> bytes:
-    """Return a file's bytes; raise UserError, which calls the file `what`, where it does not exist or cannot be read."""
-    try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise UserError(f"{what} file {path} does not exist") from None
-    except OSError as error:
-        raise UserError(f"{what} file {path} cannot be read: {error.strerror or error}") from None
-
-
-def read_text(path: Path, what: str) -> str:
-    """Return a file's text, with or without a byte-order mark; raises as `read_bytes`, and where it is not UTF-8."""
-    content = read_bytes(path, what)
-    try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        raise UserError(f"{path} must be text in UTF-8, found the byte {content[error.start]:#04x}") from None
-
-
-def read_json(path: Path, what: str) -> Any:
-    """Return what a JSON file holds; raises as `read_text`, and where it is not JSON."""
-    text = read_text(path, what)
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError as error:
-        raise UserError(f"{path} is not JSON: {error}") from None
-    except (ValueError, RecursionError):  # numbers of thousands of digits, lists nested as deeply
-        raise UserError(f"{path} is JSON beyond reason: a number is too long or the nesting too deep") from None
 
 
 @contextmanager
