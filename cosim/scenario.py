@@ -203,9 +203,8 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     """
     path = Path(name)
     if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
-        built_in = BUILT_IN / f"{name}.toml"
-        if built_in.exists():
-            path = built_in
+        if name in built_in_names():
+            path = BUILT_IN / f"{name}.toml"
         else:
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     data = read_toml(path, "scenario")
