@@ -21,7 +21,7 @@ from cosim.hil.device import DeviceError
 from cosim.plots import save_comparison, save_overview
 from cosim.results import Result
 from fmu_export.native_build import BuildError
-from tests.cosim.command import journal_rows, started
+from tests.cosim.command import started
 
 LONG = ("--set", "run.duration=20000", "--set", "record.every=1000")
 NOTHING = Result(np.zeros(0), {}, {})
@@ -110,7 +110,7 @@ def test_a_result_that_cannot_be_written_is_rescued(ended, fmus, monkeypatch, tm
     code, err = ended("run", "tilt", "--fmus", fmus, "--set", "run.duration=0.01", "-o", "file/out.csv")
     (saved,) = rescue.rglob("*.csv")
     assert code == 2
-    assert f"file/out.csv cannot be written: Not a directory; the rows are in {saved}" in err
+    assert f"file/out.csv cannot be written: File exists; the rows are in {saved}" in err
     assert len(Result.load(saved).time) == 11
 
 
@@ -160,9 +160,7 @@ def started_run(*arguments, cwd, folder):
     ("arguments", "number"),
     [
         (("run", "tilt", *LONG, "-o", "cut.csv"), signal.SIGTERM),
-        (("run", "tilt", *LONG, "-o", "cut.csv"), signal.SIGHUP),
-        (("compare", "tilt", *LONG, "-o", "out"), signal.SIGTERM),
-        (("tune", "tilt", *LONG, *"--a-min 1 --b-max 1 --u-max 3 --mu 1 -o out".split()), signal.SIGHUP),
+        (("compare", "tilt", *LONG, "-o", "out"), signal.SIGHUP),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else value.name,
 )
@@ -183,4 +181,4 @@ def test_a_signal_ends_a_command_as_ctrl_c_does(elsewhere, monkeypatch, argument
         assert len(result.time) > 1
         assert result.metadata["complete"] is False
     else:
-        assert journal_rows(elsewhere / "out" / "runs.sqlite") == []
+        assert not (elsewhere / "out").exists()
