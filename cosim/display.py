@@ -28,6 +28,12 @@ def say_error(error: BaseException) -> None:
     problems.print(f"[bold red]error:[/] {escaped(str(error))}")
 
 
+def say_notes(notes: Iterable[str]) -> None:
+    """Print what the user should know, a line each, to the error output."""
+    for note in notes:
+        problems.print(f"[yellow]note:[/] {escaped(note)}")
+
+
 def escaped(text: str) -> str:
     """Return text whose brackets Rich does not take for markup."""
     from rich.markup import escape

@@ -13,7 +13,7 @@ import typer
 
 from fmu_export.variables import did_you_mean
 
-from ..display import console, escaped, print_metrics, print_results, problems, progress
+from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes
 from ..errors import UserError
 from ..options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
@@ -99,7 +99,7 @@ def hil(
 
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
-    from ..scenario import build_system, load_scenario
+    from ..scenario import build_system, load_scenario, remarks
     from .settings import Settings
 
     if on_fall not in ("swing-up", "stop"):
@@ -111,7 +111,9 @@ def hil(
     with_fmu = chosen if controller is None else chosen.changed({"controller.fmu": str(controller.absolute())})
     if chosen.plant.measurement != "encoders":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    component, plant = build_system(with_fmu, fmus, folder).components
+    system = build_system(with_fmu, fmus, folder)
+    component, plant = system.components
+    say_notes(remarks(system))
     settings = Settings(
         rate=rate,
         duration=duration,
