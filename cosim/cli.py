@@ -27,6 +27,7 @@ from .display import (
     progress,
     say_error,
     say_fault,
+    say_notes,
     staged_progress,
     warn_of_messages,
 )
@@ -207,6 +208,9 @@ def export(
             "none: this machine's. Others are compiled now, which the first time takes minutes."
         ),
     ] = None,
+    other_model: Annotated[
+        bool, typer.Option("--other-model", help="Export a design for another model than the plant's all the same.")
+    ] = False,
 ) -> None:
     """Export plant and controller as FMUs (FMI 2.0), and both with their wires as one SSP file.
 
@@ -226,7 +230,7 @@ def export(
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
     with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names)
+        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names, other_model=other_model)
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 
@@ -260,7 +264,7 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from .metrics import can_evaluate
-    from .scenario import load_scenario, run_scenario
+    from .scenario import build_system, load_scenario, remarks, run_scenario
 
     chosen, folder = load_scenario(scenario)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -268,6 +272,7 @@ def run(
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
+    say_notes(remarks(build_system(chosen, fmus, folder)))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -328,7 +333,7 @@ def compare(
     Given results of `run` or `hil` instead, show them side by side.
     """
     from .experiments import LAWS, Study
-    from .scenario import load_scenario
+    from .scenario import build_system, load_scenario, remarks
 
     chosen_laws = [law.strip() for law in laws.split(",")]
     unknown = [law for law in chosen_laws if law not in LAWS]
@@ -341,6 +346,7 @@ def compare(
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
     chosen, folder = load_scenario(scenario[0])
     chosen = chosen.changed(dict(assignments(change)))
+    say_notes(remarks(build_system(chosen, fmus, folder)))
     _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
 
 

@@ -50,6 +50,12 @@ def say_fault(error: BaseException) -> None:
     problems.print(f"[bold red]fault:[/] this is an error of qube-ihc; please report it{where} with the lines above")
 
 
+def say_notes(notes: Iterable[str]) -> None:
+    """Print what the user should know, a line each, to the error output."""
+    for note in notes:
+        problems.print(f"[yellow]note:[/] {escaped(note)}")
+
+
 def escaped(thing: object) -> str:
     """Return the text of a thing, whose brackets Rich then does not take for markup."""
     from rich.markup import escape

@@ -14,7 +14,7 @@ import typer
 from fmu_export.files import staging, uninterrupted
 from fmu_export.variables import did_you_mean
 
-from ..display import console, escaped, print_metrics, print_results, problems, progress
+from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes
 from ..errors import UserError
 from ..options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
@@ -100,7 +100,7 @@ def hil(
 
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
-    from ..scenario import build_system, load_scenario
+    from ..scenario import build_system, load_scenario, remarks
     from .settings import Settings
 
     if on_fall not in ("swing-up", "stop"):
@@ -111,7 +111,9 @@ def hil(
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
     if chosen.plant.measurement != "encoders":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    component, plant = build_system(chosen, fmus, folder, controller).components
+    system = build_system(chosen, fmus, folder, controller)
+    component, plant = system.components
+    say_notes(remarks(system))
     settings = Settings(
         rate=rate,
         duration=duration,
