@@ -269,7 +269,8 @@ def compare(
     draws: Annotated[
         int,
         typer.Option(
-            min=0, help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once."
+            min=0,
+            help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once.",
         ),
     ] = 32,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,

@@ -30,7 +30,9 @@ def encoder_offsets(count: int) -> tuple[tuple[float, float], ...]:
     """
     from scipy.stats import qmc  # noqa: PLC0415 - heavy
 
-    points = qmc.Sobol(2, scramble=True, seed=np.random.default_rng(SEED)).random_base2(math.ceil(math.log2(count)))
+    generator = np.random.default_rng(SEED)
+    sobol = qmc.Sobol(2, scramble=True, seed=generator)  # type: ignore[call-arg] # `rng` from SciPy 1.15 on, which takes both
+    points = sobol.random_base2(math.ceil(math.log2(count)))
     return tuple((float(theta), float(delta)) for theta, delta in points[:count])
 
 

@@ -112,7 +112,10 @@ QUANTITIES = {
             "steady_rms", "steady RMS |q|", "rad", f"over the last {WINDOW:g} s", over_draws="rms", of_window=True
         ),
         Quantity(
-            "steady_trend", "steady trend", "", "RMS of |q| in the window's first half over that in its second; 1: steady"
+            "steady_trend",
+            "steady trend",
+            "",
+            "RMS of |q| in the window's first half over that in its second; 1: steady",
         ),
         Quantity("energy", "∫V² dt", "V² s", "over the run, exact for the held voltage"),
         Quantity("peak_voltage", "peak |V|", "V", "over the run"),

@@ -13,7 +13,7 @@ import typer
 
 from fmu_export.variables import did_you_mean
 
-from ..display import console, escaped, print_metrics, print_results, problems, progress
+from ..display import console, escaped, print_metrics, print_results, problems, progress, show_table
 from ..errors import UserError
 from ..options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
@@ -218,8 +218,6 @@ def _run(
 
 
 def _print_report(report: Report, path: Path) -> None:
-    from rich.table import Table
-
     from ..metrics import can_evaluate
     from ..plots import save_overview
 
@@ -238,14 +236,10 @@ def _print_report(report: Report, path: Path) -> None:
     if not len(result.time):
         console.print("no sample was taken, so there is no log to look at")
         return
-    table = Table(title=escaped("timing of the run [us]"), title_justify="left")
-    for heading in ("", "p50", "p99", "p99.9", "max"):
-        table.add_column(heading, justify="right" if heading else "left")
     names = {"lateness": "sample read late", "latency": "sample to command", "step_time": "controller's step"}
-    for name, text in names.items():
-        if about["timing"][name]:
-            table.add_row(text, *(f"{1e6 * value:.1f}" for value in about["timing"][name].values()))
-    console.print(table)
+    timing = {text: about["timing"][name] for name, text in names.items() if about["timing"][name]}
+    rows = [[text, *(f"{1e6 * value:.1f}" for value in values.values())] for text, values in timing.items()]
+    show_table("timing of the run [us]", ("", "p50", "p99", "p99.9", "max"), rows)
     console.print(
         f"missed periods: {about['missed']} of {len(result.time) - 1 + about['missed']}{_elsewhere(result)}",
         highlight=False,
@@ -395,8 +389,6 @@ def identify(
 
     The file goes into `--parameters` of `export` and `overlay`, or `plant.parameters` of a scenario.
     """
-    from rich.table import Table
-
     from plant_fmu.parameters import QubeParameters
 
     from .. import parameter_files
@@ -415,14 +407,12 @@ def identify(
         )
     path = output or run.with_name(f"{run.stem}_parameters.toml")
     parameter_files.save(path, found.parameters)
-    table = Table(title=f"{run.name}: parameters and 95 % confidence intervals", title_justify="left")
-    for heading in ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
     units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
     for name, e in found.estimates.items():
         numbers = (e.value, e.low, e.high, getattr(start.parameters, name))
-        table.add_row(name, *(f"{number:.4g}" for number in numbers), units[name])
-    console.print(table)
+        rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
+    show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
     unknown = [name for name, e in found.estimates.items() if not e.identifiable]
     if unknown:
         problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
