@@ -320,7 +320,13 @@ def compare(
         typer.Argument(help=f"{SCENARIO_HELP} Or results of `run` or `hil` (*.csv)."),
     ],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
-    draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
+    draws: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once.",
+        ),
+    ] = 32,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
@@ -328,7 +334,7 @@ def compare(
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
-    """Run a scenario with each law and draw, print the medians as a table, write results and pictures.
+    """Run a scenario with each law and draw; print means with their intervals and what they decide, write results, pictures.
 
     Given results of `run` or `hil` instead, show them side by side.
     """
@@ -347,7 +353,7 @@ def compare(
     chosen, folder = load_scenario(scenario[0])
     chosen = chosen.changed(dict(assignments(change)))
     say_notes(remarks(build_system(chosen, fmus, folder)))
-    _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
+    _compare([Study(chosen, folder, draws)], fmus, output, chosen_laws, workers)
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
@@ -401,7 +407,9 @@ def tune(
         str | None, typer.Option(help="Scales of P, |k x| on the unit ball [V]; none: 1.5, 3, 10.")
     ] = None,
     mu: Annotated[str | None, typer.Option(help="Values of mu; none: 0.5, 1.")] = None,
-    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets and noise for each point.")] = 8,
+    draws: Annotated[
+        int, typer.Option(min=1, help="Encoder offsets and noise, the same for each point; best a power of two.")
+    ] = 16,
     design: Annotated[
         Path | None, typer.Option(help="Design file with your A, b, k_lin and alpha; none: the default design.")
     ] = None,
@@ -486,7 +494,7 @@ def paper(
     console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")
 
 
-DEMO = {"swing_up": 3, "tilt": 5, "tilt_kalman": 3, "tilt_ideal": 0}
+DEMO = {"swing_up": 32, "tilt": 32, "tilt_kalman": 32, "tilt_ideal": 0}
 """The demonstration's scenarios, and their draws of the encoder offsets."""
 
 
@@ -517,5 +525,5 @@ def demo(
     studies = []
     for name, draws in DEMO.items():
         chosen, folder = load_scenario(name)
-        studies.append(Study(chosen, folder, range(1, draws + 1)))
+        studies.append(Study(chosen, folder, draws))
     _compare(studies, fmus, output, list(LAWS))
