@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo paper test lint bench clean
+.PHONY: demo paper test lint versions bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
@@ -18,6 +18,9 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
+	$(BIN)/python -m tests.environments
 
 bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it; the hardware loop's timing
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'

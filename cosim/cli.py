@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 import sys
 from contextlib import nullcontext
@@ -56,6 +57,21 @@ class Method(StrEnum):
 
 
 hil_commands.register(app)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        console.print(f"qube-ihc {importlib.metadata.version('qube-ihc')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def _global(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Take the options that stand before a command."""
 
 
 def main() -> None:
