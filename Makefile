@@ -30,9 +30,11 @@ bench: $(VENV)/installed   ## speed against one C program and against other tool
 SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_export/adapter/*.[ch] cosim/native/*.[ch])
 
 $(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from PyPI
+	@echo "Installing into $(VENV): libraries, test tools and, compiled with Zig, the native units. A few minutes the first time."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	touch $@
+	@touch $@
+	@echo "Installed."
 
 clean:
 	rm -rf $(VENV) results fmus/*.fmu

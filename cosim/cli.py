@@ -209,8 +209,9 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
-    with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names)
+    with console.status("building") if names else nullcontext() as status:
+        building = None if status is None else lambda what: status.update(f"building {what}")
+        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names, building)
     for path in paths:
         console.print(f"wrote {path}")
 

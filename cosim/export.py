@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,13 +34,14 @@ def export_units(
     smc: Smc = Smc.fitted,
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
+    building: Callable[[str], object] | None = None,
 ) -> list[Path]:
     """Write QubeServo2.fmu, IhcController.fmu and QubeWithController.ssp to the folder `output`; return their paths.
 
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
-    that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` as in
-    `export_native_fmu`. Raises
-    ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
+    that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` and
+    `building` as in `export_native_fmu`. Raises ValueError for what cannot be exported, before anything is written, and
+    BuildError for a missing binary or compiler.
     """
     from fmu_export.native_fmu import export_native_fmu
     from fmu_export.python_fmu import export_python_fmu
@@ -77,7 +78,7 @@ def export_units(
     for native, slave, start, notes in plans:
         path = output / f"{native.interface.name}.fmu"
         if kind is Kind.native:
-            paths.append(export_native_fmu(native, path, start, notes, platforms))
+            paths.append(export_native_fmu(native, path, start, notes, platforms, building))
         else:
             paths.append(export_python_fmu(slave, path, start, notes))
     plant, controller = paths
