@@ -41,9 +41,10 @@ def export_native_fmu(
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
-    has built; others are compiled now, by the package ziglang; `building` is told which, before each.
-    `notes` is HTML for the FMU's documentation. The same arguments give the same bytes. The file is written beside and renamed. Raises ValueError for start values that the
-    interface does not admit or that contradict each other and for unknown platforms, BuildError where there is no binary.
+    has built; others are compiled now, by the package ziglang; `building` is told which, before each. `notes` is HTML for
+    the FMU's documentation. The same arguments give the same bytes. The file is written beside and renamed. Raises
+    ValueError for start values that the interface does not admit or that contradict each other and for unknown platforms,
+    BuildError where there is no binary.
     """
     interface = unit.interface
     start = interface.start_values(changes)
