@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 import secrets
 import sys
@@ -67,9 +68,20 @@ class Method(StrEnum):
 hil_commands.register(app)
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        console.print(f"qube-ihc {importlib.metadata.version('qube-ihc')}", highlight=False)
+        raise typer.Exit
+
+
 @app.callback()
-def options(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False) -> None:
-    """Take what stands before the command; `main` has seen to it."""
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False,
+) -> None:
+    """Take the options that stand before a command; `main` has seen to --debug."""
 
 
 def main() -> None:
@@ -229,8 +241,11 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
-    with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names, other_model=other_model)
+    with console.status("building") if names else nullcontext() as status:
+        building = None if status is None else lambda what: status.update(f"building {what}")
+        paths = export_units(
+            found, parameters, nominal, output, changes, smc, kind, names, building, other_model=other_model
+        )
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 

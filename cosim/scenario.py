@@ -19,6 +19,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files
 from .errors import UserError
+from .fmu import Value
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
 from .results import Result
