@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 import secrets
 import sys
@@ -27,6 +28,7 @@ from .display import (
     progress,
     say_error,
     say_fault,
+    say_notes,
     staged_progress,
     warn_of_messages,
 )
@@ -66,9 +68,20 @@ class Method(StrEnum):
 hil_commands.register(app)
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        console.print(f"qube-ihc {importlib.metadata.version('qube-ihc')}", highlight=False)
+        raise typer.Exit
+
+
 @app.callback()
-def options(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False) -> None:
-    """Take what stands before the command; `main` has seen to it."""
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False,
+) -> None:
+    """Take the options that stand before a command; `main` has seen to --debug."""
 
 
 def main() -> None:
@@ -207,6 +220,9 @@ def export(
             "none: this machine's. Others are compiled now, which the first time takes minutes."
         ),
     ] = None,
+    other_model: Annotated[
+        bool, typer.Option("--other-model", help="Export a design for another model than the plant's all the same.")
+    ] = False,
 ) -> None:
     """Export plant and controller as FMUs (FMI 2.0), and both with their wires as one SSP file.
 
@@ -225,8 +241,11 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
-    with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names)
+    with console.status("building") if names else nullcontext() as status:
+        building = None if status is None else lambda what: status.update(f"building {what}")
+        paths = export_units(
+            found, parameters, nominal, output, changes, smc, kind, names, building, other_model=other_model
+        )
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 
@@ -258,7 +277,7 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from .metrics import can_evaluate
-    from .scenario import load_scenario, run_scenario
+    from .scenario import build_system, load_scenario, remarks, run_scenario
 
     chosen, folder = load_scenario(scenario)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -266,6 +285,7 @@ def run(
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
+    say_notes(remarks(build_system(chosen, fmus, folder)))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -313,7 +333,13 @@ def compare(
         typer.Argument(help=f"{SCENARIO_HELP} Or results of `run` or `hil` (*.csv)."),
     ],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
-    draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
+    draws: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once.",
+        ),
+    ] = 32,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
@@ -321,12 +347,12 @@ def compare(
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
-    """Run a scenario with each law and draw, print the medians as a table, write results and pictures.
+    """Run a scenario with each law and draw; print means with their intervals and what they decide, write results, pictures.
 
     Given results of `run` or `hil` instead, show them side by side.
     """
     from .experiments import LAWS, Study
-    from .scenario import load_scenario
+    from .scenario import build_system, load_scenario, remarks
 
     chosen_laws = [law.strip() for law in laws.split(",")]
     unknown = [law for law in chosen_laws if law not in LAWS]
@@ -339,7 +365,8 @@ def compare(
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
     chosen, folder = load_scenario(scenario[0])
     chosen = chosen.changed(dict(assignments(change)))
-    _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
+    say_notes(remarks(build_system(chosen, fmus, folder)))
+    _compare([Study(chosen, folder, draws)], fmus, output, chosen_laws, workers)
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
@@ -393,7 +420,9 @@ def tune(
         str | None, typer.Option(help="Scales of P, |k x| on the unit ball [V]; none: 1.5, 3, 10.")
     ] = None,
     mu: Annotated[str | None, typer.Option(help="Values of mu; none: 0.5, 1.")] = None,
-    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets and noise for each point.")] = 8,
+    draws: Annotated[
+        int, typer.Option(min=1, help="Encoder offsets and noise, the same for each point; best a power of two.")
+    ] = 16,
     design: Annotated[
         Path | None, typer.Option(help="Design file with your A, b, k_lin and alpha; none: the default design.")
     ] = None,
@@ -478,7 +507,7 @@ def paper(
     console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")
 
 
-DEMO = {"swing_up": 3, "tilt": 5, "tilt_kalman": 3, "tilt_ideal": 0}
+DEMO = {"swing_up": 32, "tilt": 32, "tilt_kalman": 32, "tilt_ideal": 0}
 """The demonstration's scenarios, and their draws of the encoder offsets."""
 
 
@@ -509,5 +538,5 @@ def demo(
     studies = []
     for name, draws in DEMO.items():
         chosen, folder = load_scenario(name)
-        studies.append(Study(chosen, folder, range(1, draws + 1)))
+        studies.append(Study(chosen, folder, draws))
     _compare(studies, fmus, output, list(LAWS))

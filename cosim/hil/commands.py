@@ -14,7 +14,7 @@ import typer
 from fmu_export.files import staging, uninterrupted
 from fmu_export.variables import did_you_mean
 
-from ..display import console, escaped, print_metrics, print_results, problems, progress
+from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes, show_table
 from ..errors import UserError
 from ..options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
@@ -100,7 +100,7 @@ def hil(
 
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
-    from ..scenario import build_system, load_scenario
+    from ..scenario import build_system, load_scenario, remarks
     from .settings import Settings
 
     if on_fall not in ("swing-up", "stop"):
@@ -111,7 +111,9 @@ def hil(
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
     if chosen.plant.measurement != "encoders":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    component, plant = build_system(chosen, fmus, folder, controller).components
+    system = build_system(chosen, fmus, folder, controller)
+    component, plant = system.components
+    say_notes(remarks(system))
     settings = Settings(
         rate=rate,
         duration=duration,
@@ -220,8 +222,6 @@ def _run(
 
 
 def _print_report(report: Report, path: Path) -> None:
-    from rich.table import Table
-
     from ..metrics import can_evaluate
     from ..plots import save_overview
 
@@ -240,14 +240,10 @@ def _print_report(report: Report, path: Path) -> None:
     if not len(result.time):
         console.print("no sample was taken, so there is no log to look at")
         return
-    table = Table(title=escaped("timing of the run [us]"), title_justify="left")
-    for heading in ("", "p50", "p99", "p99.9", "max"):
-        table.add_column(heading, justify="right" if heading else "left")
     names = {"lateness": "sample read late", "latency": "sample to command", "step_time": "controller's step"}
-    for name, text in names.items():
-        if about["timing"][name]:
-            table.add_row(text, *(f"{1e6 * value:.1f}" for value in about["timing"][name].values()))
-    console.print(table)
+    timing = {text: about["timing"][name] for name, text in names.items() if about["timing"][name]}
+    rows = [[text, *(f"{1e6 * value:.1f}" for value in values.values())] for text, values in timing.items()]
+    show_table("timing of the run [us]", ("", "p50", "p99", "p99.9", "max"), rows)
     console.print(
         f"missed periods: {about['missed']} of {len(result.time) - 1 + about['missed']}{_elsewhere(result)}",
         highlight=False,
@@ -399,8 +395,6 @@ def identify(
 
     The file goes into `--parameters` of `export` and `overlay`, or `plant.parameters` of a scenario.
     """
-    from rich.table import Table
-
     from plant_fmu.parameters import QubeParameters
 
     from .. import parameter_files
@@ -419,14 +413,12 @@ def identify(
         )
     path = output or run.with_name(f"{run.stem}_parameters.toml")
     parameter_files.save(path, found.parameters)
-    table = Table(title=f"{escaped(run.name)}: parameters and 95 % confidence intervals", title_justify="left")
-    for heading in ("parameter", "fitted", "from", "to", f"in {escaped(start.name)}", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
     units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
     for name, e in found.estimates.items():
         numbers = (e.value, e.low, e.high, getattr(start.parameters, name))
-        table.add_row(name, *(f"{number:.4g}" for number in numbers), units[name])
-    console.print(table)
+        rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
+    show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
     unknown = [name for name, e in found.estimates.items() if not e.identifiable]
     if unknown:
         problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")

@@ -119,7 +119,12 @@ def _theory(study: Study) -> tuple[Theory, dict[str, dict[str, float]]]:
     gains = gain_readings()
     norms = norm_readings(study.designs["paper.json"].P)
     tilt = load_scenario(str(BUILT_IN / "tilt.toml"))[0].changed(
-        {"run.duration": 10.0, "controller.design": "paper.json", "controller.start.swing_up_enabled": False}
+        {
+            "run.duration": 10.0,
+            "plant.parameters": REFERENCE[0],
+            "controller.design": "paper.json",
+            "controller.start.swing_up_enabled": False,
+        }
     )
     jobs: list[Job[str]] = []
     for reading in (*gains, *norms):

@@ -7,7 +7,7 @@ start values are compiled in, so that an importer that rebuilds them needs no fi
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from .archive import content_guid, write_zip
@@ -37,13 +37,15 @@ def export_native_fmu(
     changes: Mapping[str, Value | str] | None = None,
     notes: str = "",
     platforms: Iterable[str] | None = None,
+    building: Callable[[str], object] | None = None,
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
-    has built; others are compiled now, by the package ziglang. `notes` is HTML for the FMU's documentation. The same
-    arguments give the same bytes. The file is written beside and renamed. Raises UserError for start values that the
-    interface does not admit or that contradict each other and for unknown platforms, BuildError where there is no binary.
+    has built; others are compiled now, by the package ziglang; `building` is told which, before each. `notes` is HTML for
+    the FMU's documentation. The same arguments give the same bytes. The file is written beside and renamed. Raises
+    UserError for start values that the interface does not admit or that contradict each other and for unknown platforms,
+    BuildError where there is no binary.
     """
     interface = unit.interface
     start = interface.start_values(changes)
@@ -60,6 +62,8 @@ def export_native_fmu(
     )
     files = {f"sources/{name}": text for name, text in sources.items()}
     for platform in _platforms(platforms):
+        if building is not None:
+            building(f"{interface.name} for {platform.name}")
         name = f"{interface.name}{platform.suffix}"
         files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
         if platforms is None and platform.name == "aarch64-linux":

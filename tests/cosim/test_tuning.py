@@ -8,7 +8,6 @@ import re
 import shutil
 import signal
 import statistics
-import sys
 import time
 from functools import cache
 from pathlib import Path
@@ -18,7 +17,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim import cli
 from cosim.campaign import Journal
 from cosim.errors import UserError
 from cosim.metrics import evaluate, kept_upright
@@ -40,7 +38,7 @@ from cosim.tuning import (
     tune,
 )
 from ihc_fmu.design import Design
-from tests.cosim.command import journal_rows, started
+from tests.cosim.command import ended, journal_rows, started
 
 WRITTEN = ["best.json", "best.toml", "landscape.png", "tuning.csv"]
 
@@ -499,33 +497,19 @@ TINY = ("--a-min", "1,0.8,0.6,0.4", "--b-max", "1,1.5", "--u-max", "3", "--mu", 
 
 
 @pytest.fixture
-def said(monkeypatch, capsys, tmp_path):
+def said(monkeypatch, tmp_path):
     """Run the command line in this process in a fresh folder; return (exit code, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["qube-ihc", *map(str, arguments)])
-        capsys.readouterr()
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code
-        out, err = capsys.readouterr()
-        return code, out, err.strip()
+        done = ended(*arguments, cwd=tmp_path)
+        return done.returncode, done.stdout, done.stderr.strip()
 
     return run
 
 
-def finished(*arguments, cwd):
-    """Run the command line to its end; return (exit code, stdout, stderr)."""
-    process = started(*map(str, arguments), cwd=cwd)
-    out, err = process.communicate(timeout=120)
-    return process.returncode, out, err
-
-
-def test_help_names_every_option_and_measure(tmp_path):
-    code, out, _ = finished("tune", "--help", cwd=tmp_path)
+def test_help_names_every_option_and_measure(said):
+    code, out, _ = said("tune", "--help")
     missing = [name for name in (*OPTIONS, *MEASURES, "--output", "--fmus", "--set") if name not in out]
     assert (code, missing) == (0, [])
 
@@ -547,8 +531,8 @@ def test_the_command_writes_prints_and_repeats_itself_to_the_byte(elsewhere, sai
     assert table == (elsewhere / "other" / "tuning.csv").read_bytes()
 
     (folder / "tuning.csv").unlink()
-    code, out, err = finished(*arguments, cwd=elsewhere)
-    assert (code, err.strip()) == (0, "")
+    code, out, err = said(*arguments)
+    assert (code, err) == (0, "")
     assert sorted(path.name for path in folder.iterdir()) == sorted([*WRITTEN, "runs.sqlite"])
     assert all(f"wrote {folder / name}" in out for name in WRITTEN)
     assert (folder / "tuning.csv").read_bytes() == table

@@ -3,26 +3,15 @@
 import json
 import re
 import signal
-import subprocess
 import time
 
 import pytest
 
-from tests.cosim.command import journal_rows, started
-
-
-def finished(*args, cwd):
-    process = started("paper", *args, cwd=cwd)
-    out, err = process.communicate(timeout=120)
-    return subprocess.CompletedProcess(args, process.returncode, out, err)
-
-
-def files(folder):
-    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+from tests.cosim.command import ended, files, journal_rows, started
 
 
 def test_help_names_every_option(tmp_path):
-    done = finished("--help", cwd=tmp_path)
+    done = ended("paper", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for option in ("--quick", "--draws", "--workers", "--output", "-o", "--fmus"):
         assert re.search(rf"(?<![\w-]){option}\b", done.stdout), option
@@ -39,7 +28,7 @@ def test_help_names_every_option(tmp_path):
     ],
 )
 def test_a_wrong_option_ends_with_code_2_and_is_named(tmp_path, arguments, named):
-    done = finished(*arguments, cwd=tmp_path)
+    done = ended("paper", *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert named in done.stderr
     assert "Traceback" not in done.stderr
@@ -50,7 +39,7 @@ def test_a_wrong_option_ends_with_code_2_and_is_named(tmp_path, arguments, named
 def without_fmus(tmp_path_factory):
     """What the command says where there are no FMUs, and the files that it leaves."""
     folder = tmp_path_factory.mktemp("without FMUs")
-    return finished("--quick", "--fmus", "nowhere", cwd=folder), files(folder)
+    return ended("paper", "--quick", "--fmus", "nowhere", cwd=folder), files(folder)
 
 
 def test_missing_fmus_are_one_sentence(without_fmus):
