@@ -93,12 +93,20 @@ def claims_table(claims: Sequence[Claim], name: str = "claims", title: str = "Ev
         Column("holds if", "rule"),
         Column("draws", "draws"),
         Column("verdict", "verdict"),
+        Column("rests on", "basis"),
     )
     rows = [
-        [c.section, c.text, c.printed, c.ours, c.unit, c.rule, None if c.share is None else str(c.share), c.verdict]
+        [
+            *(c.section, c.text, c.printed, c.ours, c.unit, c.rule),
+            *(None if c.share is None else str(c.share), c.verdict, c.basis),
+        ]
         for c in claims
     ]
-    note = "Ours is the run without draws at the paper's step; the draws are those of the same conditions."
+    note = (
+        "Ours is the run without draws at the paper's step; the draws are those of the same conditions. A verdict that is "
+        "“fitted” is no evidence: the swing-up or SMC1 was fitted to that number; one that “repeats” judges numbers that "
+        "others judge already."
+    )
     return Table(name, title, note, columns, rows)
 
 
