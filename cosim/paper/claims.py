@@ -19,8 +19,8 @@ Found = Mapping[Key, Numbers]
 Verdict = Literal["holds", "does not hold", "undecided"]
 
 Basis = Literal["independent", "fitted", "repeats"]
-"""What a claim's verdict rests on: nothing else; the fits of the swing-up and of SMC1 to just that printed number; numbers that
-other claims judge already, as another reading of the same statement or their arithmetical consequence.
+"""What a claim's verdict rests on: nothing else; the fits of the swing-up and of SMC1 to just that printed number; numbers
+that other claims judge already, as another reading of the same statement or their arithmetical consequence.
 """
 
 FITTED_GAINS = {"IHC": (0,), "SMC1": (0, 60, 200)}

@@ -202,7 +202,7 @@ def tilt(fmus, design):
     return make
 
 
-STEADY = {"run.duration": 5.0, "plant.start.delta_0": 0.02}
+STEADY = {"run.duration": 8.0}
 """With it the runs end in a steady state."""
 
 FAMILIES = [(mu, u_max) for mu in (0.5, 1.0) for u_max in (1.5, 10.0)]
