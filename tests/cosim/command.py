@@ -12,10 +12,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
-from cosim import cli
+from cosim import cli, display
 
 PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 """The environment for plain text in stdout and stderr."""
+
+for console in (display.console, display.problems):
+    console.width = int(PLAIN["COLUMNS"])  # they have read the environment already
 
 HANDLED = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 
