@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from . import interrupts
+from . import signals
 from .display import (
     console,
     degrade_output,
@@ -95,7 +95,7 @@ def main() -> None:
     from .fmu import FmuError
     from .hil.device import DeviceError
 
-    interrupts.as_ctrl_c()
+    signals.as_ctrl_c()
     degrade_output()
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
@@ -103,7 +103,7 @@ def main() -> None:
         app(arguments)
     except SystemExit as end:
         if end.code == CTRL_C:  # Typer makes this of a KeyboardInterrupt
-            sys.exit(interrupts.exit_code())
+            sys.exit(signals.exit_code())
         raise
     except UserError as error:
         say_error(error, traceback=debug)
@@ -253,8 +253,6 @@ def export(
 def _load_design(path: Path) -> Design:
     from ihc_fmu.design import Design
 
-    if not path.is_file():
-        raise UserError(f"design file {path} does not exist")
     return Design.load(path)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from .archive import content_guid, write_zip
 from .documentation import documentation
+from .errors import UserError
 from .model_description import Capabilities, model_description
 from .native_build import (
     BINARIES,
@@ -43,7 +44,7 @@ def export_native_fmu(
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
     has built; others are compiled now, by the package ziglang; `building` is told which, before each. `notes` is HTML for
     the FMU's documentation. The same arguments give the same bytes. The file is written beside and renamed. Raises
-    ValueError for start values that the interface does not admit or that contradict each other and for unknown platforms,
+    UserError for start values that the interface does not admit or that contradict each other and for unknown platforms,
     BuildError where there is no binary.
     """
     interface = unit.interface
@@ -82,7 +83,7 @@ def _platforms(names: Iterable[str] | None) -> list[Platform]:
     chosen = list(dict.fromkeys(names))
     for name in chosen:
         if name not in PLATFORMS and name != ALL:
-            raise ValueError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
+            raise UserError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
     return list(PLATFORMS.values()) if ALL in chosen else [PLATFORMS[name] for name in chosen]
 
 

@@ -6,6 +6,7 @@ import contextlib
 import io
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -21,6 +22,19 @@ for console in (display.console, display.problems):
     console.width = int(PLAIN["COLUMNS"])  # they have read the environment already
 
 HANDLED = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
+
+
+def journal_rows(path):
+    """Return the rows of a journal in their order; none while it does not exist."""
+    if not path.exists():
+        return []
+    file = sqlite3.connect(path, timeout=60)
+    try:
+        return file.execute("SELECT digest, numbers FROM runs ORDER BY rowid").fetchall()
+    except sqlite3.OperationalError:  # made, but without its tables yet
+        return []
+    finally:
+        file.close()
 
 
 def ended(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
