@@ -40,8 +40,7 @@ def journal_rows(path):
 def ended(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run the command line in this process as `qube-ihc` does; return how it ended and what it said.
 
-    What the operating system or the interpreter does at the end of a process, an uncaught exception's traceback for one, is
-    not there: such an exception ends the test.
+    What the operating system does at the end of a process is not there; what `main` does is, a fault's exit code 70 for one.
     """
     out, err = io.StringIO(), io.StringIO()
     with _place(args, cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
