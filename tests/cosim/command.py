@@ -49,7 +49,7 @@ def ended(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
             code = 0
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    return subprocess.CompletedProcess(args, code, out.getvalue(), err.getvalue())
+    return subprocess.CompletedProcess([*map(str, args)], code, out.getvalue(), err.getvalue())
 
 
 @contextlib.contextmanager
