@@ -40,7 +40,7 @@ from cosim.tuning import (
     tune,
 )
 from ihc_fmu.design import Design
-from tests.cosim.command import ended, journal_rows, started
+from tests.cosim.command import ended, finished, journal_rows, started
 
 WRITTEN = ["best.json", "best.toml", "landscape.png", "tuning.csv"]
 
@@ -545,8 +545,9 @@ def test_the_command_writes_prints_and_repeats_itself_to_the_byte(elsewhere, sai
     assert table == (elsewhere / "other" / "tuning.csv").read_bytes()
 
     (folder / "tuning.csv").unlink()
-    code, out, err = said(*arguments)
-    assert (code, err) == (0, "")
+    done = finished(started(*arguments, cwd=elsewhere))  # with its picture
+    out = done.stdout
+    assert (done.returncode, done.stderr.strip()) == (0, "")
     assert sorted(path.name for path in folder.iterdir()) == sorted([*WRITTEN, "runs.sqlite"])
     assert all(f"wrote {folder / name}" in out for name in WRITTEN)
     assert (folder / "tuning.csv").read_bytes() == table
