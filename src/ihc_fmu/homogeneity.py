@@ -85,6 +85,15 @@ def solve(M: Matrix, B: Matrix) -> list[list[float]]:
     return [row[n:] for row in rows]
 
 
+def refined(M: Matrix, x: Vector, b: Vector) -> list[float]:
+    """Return the solution x of M x = b after three iterative refinements, which make entries that should be 0 tiny."""
+    found = list(x)
+    for _ in range(3):
+        residual = [[right - dot(row, found)] for row, right in zip(M, b, strict=True)]
+        found = [entry + change for entry, (change,) in zip(found, solve(M, residual), strict=True)]
+    return found
+
+
 def transpose(M: Matrix) -> list[list[float]]:
     """Return M'."""
     return [list(column) for column in zip(*M, strict=True)]
@@ -250,7 +259,11 @@ def _root(c: Vector, mu: float, guess: float) -> float:
         if abs(step) <= CONVERGED:
             return exp(sigma + step)
         following = sigma + max(-4.0, min(4.0, step))
-        if -UNBOUNDED < low and high < UNBOUNDED and not (low < following < high and abs(following - sigma) <= 0.5 * last):
+        if (
+            low > -UNBOUNDED
+            and high < UNBOUNDED
+            and not (low < following < high and abs(following - sigma) <= 0.5 * last)
+        ):
             following = 0.5 * (low + high)
         last = abs(following - sigma)
         if last <= 1e-15 * max(1.0, abs(sigma)):

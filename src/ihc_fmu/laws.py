@@ -39,9 +39,7 @@ def chain_gains(kz: Vector, mu: float, r: float) -> list[float]:
     return gains[::-1]
 
 
-def implicit_homogeneous(
-    k_lin: Vector, row: Vector, kz: Vector, mu: float, r: float, x: Vector, z: Vector
-) -> float:
+def implicit_homogeneous(k_lin: Vector, row: Vector, kz: Vector, mu: float, r: float, x: Vector, z: Vector) -> float:
     """Return the IHC's u = r^(1-mu) k d(-ln r) x - row x, eq. (8), with k = k_lin + row, eq. (10).
 
     `kz` = k Phi^-1, `row` (n,) and z = Phi x. For r <= 1 it is written as k_lin x + sum (kz_i s^(n-i+1) - kz_i) z_i, which

@@ -14,7 +14,7 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from . import dynamics, sensors
-from .integrator import rk4_step, substeps
+from .integrator import flushed, rk4_step, substeps
 from .interface import MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
 from .parameters import QubeParameters
 
@@ -73,7 +73,7 @@ class QubePlant:
         if not math.isfinite(voltage + disturbance + tau_p):
             raise UserError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = {inputs}")
         limit = self.voltage_limit
-        applied = min(limit, max(-limit, voltage + disturbance))
+        applied, tau_p = flushed(min(limit, max(-limit, voltage + disturbance))), flushed(tau_p)
         count = substeps(step, self.longest_step)
         if count > MAX_SUBSTEPS:
             raise UserError(
@@ -96,7 +96,7 @@ class QubePlant:
             finite = False
         if not finite:
             raise ArithmeticError(f"the state left the range of numbers, x = {self.x} before the step")
-        self.x, self.applied_voltage, self.applied_torque = x, applied, tau_p
+        self.x, self.applied_voltage, self.applied_torque = tuple(map(flushed, x)), applied, tau_p
         if self.delay:
             self.delay_steps, self.delayed_step = delay_steps, step
         self.delay_line.append(self._measure())

@@ -44,7 +44,9 @@ class IdealLoop:
         return np.linalg.solve(d.Phi, r ** weights(d.n, d.mu) * (d.Phi @ x))
 
     def norm(self, x, guess=1.0):
-        return homogeneous_norm(norm_polynomial(self.Pz, (self.design.Phi @ x).tolist(), self.design.mu), self.design.mu, guess)
+        return homogeneous_norm(
+            norm_polynomial(self.Pz, (self.design.Phi @ x).tolist(), self.design.mu), self.design.mu, guess
+        )
 
     def velocity(self, x, r, disturbance=0.0):
         """Return x' for the norm r in the law."""

@@ -69,7 +69,11 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
         ({"law": "LC"}, design.k_lin @ x, 1.0),
         ({"law": "SMC"}, laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x), 1.0),
         ({}, laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, estimate, x, z), estimate),
-        ({"norm_solver": "exact"}, laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, exact, x, z), exact),
+        (
+            {"norm_solver": "exact"},
+            laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, exact, x, z),
+            exact,
+        ),
         (
             {"norm_solver": "exact", "discretization": "semi_implicit"},
             laws.implicit_homogeneous_semi(design.kz, row_z, 1.0, exact, 1e-3, z),
@@ -323,7 +327,7 @@ def test_command_that_overflows_is_a_fault_of_the_control(controller):
     unit = started(controller(**STATE_INPUT, law="LC", k_lin_1=1e308), (0.0, 0.0, 0.0, 0.0))
     assert unit.step(0.0, 1e-3, (0.0, 0.0, 0.0, 0.0)) == []
     assert unit.step(1e-3, 1e-3, (10.0, 0.0, 0.0, 0.0)) == [
-        "fault non_finite_control: u = inf; the voltage is 0 V until reset"
+        "fault non_finite_control: the command is not finite; the voltage is 0 V until reset"
     ]
     found = outputs(unit)
     assert (found["voltage"], found["mode"], found["fault"]) == (0.0, Mode.FAULT, Fault.NON_FINITE_CONTROL)

@@ -8,6 +8,7 @@ enum { N = IHC_ORDER };
 
 enum {
     FAR = 100,   /* binary orders of magnitude between r and a norm beyond which N(r) is taken for 0 or infinite */
+    REFINEMENTS = 3,
     SHIFT = 600  /* states beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times them */
 };
 
@@ -478,6 +479,25 @@ static void transpose(double M[N][N])
     }
 }
 
+/* row_z <- row Phi^-1 by iterative refinement: entries that should be 0 would otherwise outweigh fading gains. */
+static void refine(const ihc_params *p, double row_z[N])
+{
+    for (int k = 0; k < REFINEMENTS; k++) {
+        double residual[N][N] = {{0.0}};
+        for (int i = 0; i < N; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < N; j++) {
+                sum += p->Phi[j][i] * row_z[j];
+            }
+            residual[i][0] = p->row[i] - sum;
+        }
+        solve_transposed(p, residual, 1);
+        for (int i = 0; i < N; i++) {
+            row_z[i] += residual[i][0];
+        }
+    }
+}
+
 /* kz, row_z and Pz = Phi^-T P Phi^-1. */
 static int to_chain(const ihc_params *p, ihc_prepared *q)
 {
@@ -501,6 +521,7 @@ static int to_chain(const ihc_params *p, ihc_prepared *q)
         q->kz[i] = gains[i][0];
         q->row_z[i] = gains[i][1];
     }
+    refine(p, q->row_z);
     return 1;
 }
 
@@ -576,9 +597,9 @@ static double unwrap(ihc_state *s, double measured)
 /* x for the law in force; advances the filter, and the observer where it is used. */
 static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const ihc_inputs *u, double x[N])
 {
-    const double delta = unwrap(s, u->delta);
+    const double delta = unwrap(s, u->delta); /* for those who differentiate; whole turns cost it small digits */
     x[0] = u->theta;
-    x[1] = wrap(delta);
+    x[1] = wrap(u->delta);
     if (p->velocity_source == IHC_VELOCITY_INPUT) {
         x[2] = u->theta_dot;
         x[3] = u->delta_dot;
