@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 State = tuple[float, ...]
 
 LEAST = 2.0**-300
-"""States, voltages and torques below this, about 5e-91, count as 0 from one communication step to the next: eq. (5) multiplies
-three of them, and on subnormal numbers processors are many times slower."""
+"""States, voltages and torques below this, about 5e-91, count as 0 from one communication step to the next: eq. (5)
+multiplies three of them, and on subnormal numbers processors are many times slower."""
 
 
 def flushed(value: float) -> float:
