@@ -216,13 +216,14 @@ def homogeneous_norm(polynomial: NormPolynomial, mu: float, guess: float = 1.0) 
     NEWTON_LIMIT iterations; where P is not positive definite there may be none, and the result may be NaN.
     """
     c, exponent = polynomial
-    size = max(map(abs, c))
-    if not size < inf:
+    if not all(map(isfinite, c)):
         return nan
-    if size == 0.0:
+    if not any(c):
         return 0.0
     root = _root(c, mu, _scaled_guess(guess, exponent))
-    return root if exponent == 0 else _power_of_two(root, exponent)
+    if exponent == 0 or root != root:
+        return root
+    return LARGEST if frexp(root)[1] + exponent > 1024 else ldexp(root, exponent)
 
 
 def _scaled_guess(guess: float, exponent: int) -> float:
@@ -231,11 +232,6 @@ def _scaled_guess(guess: float, exponent: int) -> float:
         near = 0.0 < guess < inf and abs(frexp(guess)[1] - exponent) < FAR
         guess = ldexp(guess, -exponent) if near else 1.0
     return guess if GUESSES[0] < guess < GUESSES[1] else 1.0
-
-
-def _power_of_two(value: float, exponent: int) -> float:
-    """Return value 2^exponent, LARGEST beyond the range of numbers; NaN stays."""
-    return LARGEST if frexp(value)[1] + exponent > 1024 else ldexp(value, exponent)
 
 
 def _root(c: Vector, mu: float, guess: float) -> float:

@@ -31,6 +31,8 @@ from .swing_up import saturate, swing_up, swing_up_voltage
 from .velocity import LEAST, flushed
 
 TURN = 2.0 * math.pi
+MOST_STEPS = 1e9
+"""Most communication steps in a sample."""
 NOT_FINITE = "the command is not finite"
 MOST = 2.0**400
 """Bound on a control that is then multiplied by 2^homogeneity.SHIFT: beyond any voltage limit, within the numbers."""
@@ -86,7 +88,7 @@ class IhcControllerUnit:
         self.a_min: float = values["a_min"]
         self.b_max: float = values["b_max"]
         if self.a_min > self.b_max:
-            raise UserError(f"a_min must not exceed b_max, found a_min = {self.a_min} and b_max = {self.b_max}")
+            raise UserError(f"a_min must not exceed b_max, found a_min = {self.a_min:g} and b_max = {self.b_max:g}")
         self.j_max: int = values["j_max"]
         self.sample_time: float = values["sample_time"]
         self.limit: float = values["voltage_limit"]
@@ -102,8 +104,8 @@ class IhcControllerUnit:
         )
         if self.capture.angle > self.capture.fall_back_angle:
             raise UserError(
-                f"capture_angle must not exceed fall_back_angle, found {self.capture.angle} and "
-                f"{self.capture.fall_back_angle} rad"
+                f"capture_angle must not exceed fall_back_angle, found {self.capture.angle:g} and "
+                f"{self.capture.fall_back_angle:g} rad"
             )
         self._take_kalman_filter()
         self.state = ControllerState(interval=(self.a_min, self.b_max))
@@ -125,6 +127,8 @@ class IhcControllerUnit:
         self.kz, row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
         self.row_z = homogeneity.refined(Phi_t, row_z, self.row)
         self.Pz = homogeneity.to_chain(self.Phi, P)
+        if not all(math.isfinite(entry) for row in (self.kz, self.row_z, *self.Pz) for entry in row):
+            raise UserError("Phi, P, k_lin and row must be of moderate size, found a chain form that is not finite")
         self.mu: float = values["mu"]
         self.smc_c = [values[name] for name in vector("smc_c")]
         self.smc_k = [values[name] for name in vector("smc_k")]
@@ -225,7 +229,7 @@ class IhcControllerUnit:
 
     def _check_step(self, step: float) -> None:
         ratio = self.sample_time / step
-        if ratio < 1.0 - 1e-6 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        if ratio < 1.0 - 1e-6 or ratio > MOST_STEPS or abs(ratio - round(ratio)) > 1e-6 * ratio:
             raise UserError(
                 f"sample_time must be a multiple of the communication step, found sample_time = {self.sample_time:g} s "
                 f"and a communication step of {step:g} s"

@@ -24,6 +24,7 @@ static const double LEAST = 0x1p-1000;          /* smaller measurements and filt
 static const double LEAST_ESTIMATE = 0x1p-300;  /* ... and smaller estimates of an observer */
 static const double SMALL = 0x1p-600, LARGE = 0x1p600; /* 2^-SHIFT, 2^SHIFT */
 static const double MOST = 0x1p400;        /* beyond any voltage limit */
+static const double MOST_STEPS = 1e9;      /* communication steps in a sample */
 static const double CONVERGED = 1e-9;      /* a Newton step so small leaves an error of its square */
 static const double BIAS_DECAY = 1e-3;     /* rate at which the Kalman filter forgets the bias [1/s] */
 static const double REST_VELOCITY = 0.05;  /* the pendulum counts as at rest below this [rad/s] ... */
@@ -525,13 +526,38 @@ static int to_chain(const ihc_params *p, ihc_prepared *q)
     return 1;
 }
 
+static int is_finite(const ihc_prepared *q)
+{
+    int finite = 1;
+    for (int i = 0; i < N; i++) {
+        finite = finite && isfinite(q->kz[i]) && isfinite(q->row_z[i]);
+        for (int j = 0; j < N; j++) {
+            finite = finite && isfinite(q->Pz[i][j]);
+        }
+    }
+    return finite;
+}
+
+/* Whether the determinant of the nominal inertia matrix upright, where it is smallest, is more than rounding. */
+static int is_regular(const ihc_params *p)
+{
+    const double diagonal = p->nominal_arm_inertia * p->nominal_pendulum_inertia;
+    return diagonal - p->nominal_coupling * p->nominal_coupling > 1e-9 * diagonal;
+}
+
 ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
 {
     if (!to_chain(p, q)) {
         return IHC_SINGULAR_PHI;
     }
+    if (!is_finite(q)) {
+        return IHC_CHAIN_NOT_FINITE;
+    }
     if (p->a_min > p->b_max) {
         return IHC_LIMITS;
+    }
+    if (!is_regular(p)) {
+        return IHC_SINGULAR_MODEL;
     }
     if (p->capture_angle > p->fall_back_angle) {
         return IHC_ANGLES;
@@ -807,7 +833,7 @@ ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
                     const ihc_inputs *u)
 {
     const double ratio = p->sample_time / step;
-    if (ratio < 1.0 - 1e-6 || fabs(ratio - nearbyint(ratio)) > 1e-6 * ratio) {
+    if (ratio < 1.0 - 1e-6 || ratio > MOST_STEPS || fabs(ratio - nearbyint(ratio)) > 1e-6 * ratio) {
         return IHC_STEP_NOT_DIVISOR;
     }
     const double index = floor((time - s->start_time) / p->sample_time + 0.5 * step / p->sample_time);

@@ -134,18 +134,20 @@ static void append_measurement(const qube_params *p, qube_state *s)
     s->count++;
 }
 
-static int admissible(const qube_params *p)
+/* Whether the determinant of the inertia matrix upright, where it is smallest, is more than rounding. */
+static int is_regular(const qube_coefficients *c)
 {
-    return p->m_p > 0.0 && p->L_p > 0.0 && p->J_p > 0.0 && p->D_p >= 0.0 && p->L_r > 0.0 && p->J_r > 0.0 && p->D_r >= 0.0
-        && p->T_r >= 0.0 && p->g_p > 0.0 && p->R_m > 0.0 && p->k_m > 0.0 && p->L_m > 0.0;
+    const double diagonal = c->J_11 * c->J_22;
+    return diagonal - c->varpi_2 * c->varpi_2 > 1e-9 * diagonal;
 }
 
 qube_status qube_initialize(const qube_params *p, qube_state *s)
 {
     static const qube_state zero;
+    const qube_coefficients c = qube_lump(p);
     qube_outputs y;
-    if (!admissible(p)) {
-        return QUBE_NOT_POSITIVE;
+    if (!is_regular(&c)) {
+        return QUBE_SINGULAR;
     }
     *s = zero;
     s->x[0] = p->theta_0;
