@@ -16,7 +16,7 @@ Standard library only: this module travels inside the Python FMU.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, floor, frexp, inf, isfinite, ldexp, log, nan
+from math import exp, floor, frexp, inf, isfinite, isnan, ldexp, log, nan
 from typing import NamedTuple
 
 from fmu_export.errors import UserError
@@ -221,7 +221,7 @@ def homogeneous_norm(polynomial: NormPolynomial, mu: float, guess: float = 1.0) 
     if not any(c):
         return 0.0
     root = _root(c, mu, _scaled_guess(guess, exponent))
-    if exponent == 0 or root != root:
+    if exponent == 0 or isnan(root):
         return root
     return LARGEST if frexp(root)[1] + exponent > 1024 else ldexp(root, exponent)
 

@@ -42,6 +42,14 @@ static double flushed(double value, double least)
     return fabs(value) > 0.0 && fabs(value) < least ? 0.0 : value;
 }
 
+/* The value, of which the compiler knows nothing: it then computes no function or quotient before the argument has been
+ * found admissible, which it else does, to discard the result. A host may have unmasked floating-point exceptions. */
+static double opaque(double value)
+{
+    volatile const double same = value;
+    return same;
+}
+
 static double dot(const double a[N], const double b[N])
 {
     double sum = 0.0;
@@ -157,12 +165,11 @@ static double scaled_guess(double guess, int exponent)
     return guess > LEAST_GUESS && guess < LARGEST_GUESS ? guess : 1.0;
 }
 
-/* The root sigma of ln N(e^sigma) = 0, as e^sigma. Every logarithm and quotient has an argument that is safe whether or
- * not its result is used: compilers evaluate them early, and a host may have unmasked floating-point exceptions. */
+/* The root sigma of ln N(e^sigma) = 0, as e^sigma. */
 static double root_of(const double c[IHC_COEFFICIENTS], double mu, double guess)
 {
     double low = -UNBOUNDED, high = UNBOUNDED, last = UNBOUNDED;
-    double sigma = log(guess);
+    double sigma = log(opaque(guess));
     for (int k = 0; k < IHC_NEWTON_LIMIT; k++) {
         const double s = exp(-mu * sigma);
         double value = 0.0, weighted = 0.0;
@@ -173,14 +180,14 @@ static double root_of(const double c[IHC_COEFFICIENTS], double mu, double guess)
         if (!(value > 0.0 && value < INFINITY)) {
             return NAN;
         }
-        const double error = log(value) - 2.0 * sigma;
+        const double error = log(opaque(value)) - 2.0 * sigma;
         if (error > 0.0) {
             low = sigma;
         } else {
             high = sigma;
         }
         const double slope = 2.0 + mu * s * weighted / value;
-        const double step = slope > 0.0 ? error / slope : UNBOUNDED;
+        const double step = slope > 0.0 ? error / opaque(slope > 0.0 ? slope : 1.0) : UNBOUNDED;
         if (fabs(step) <= CONVERGED) {
             return exp(sigma + step);
         }

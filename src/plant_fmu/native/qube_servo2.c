@@ -109,7 +109,8 @@ static double next_gaussian(uint64_t *state)
 /* What an encoder reports: r floor(angle/r + offset), r = 2 pi/counts. */
 static double quantize(double angle, int counts, double offset)
 {
-    const double resolution = 2.0 * PI / (counts > 0 ? counts : 1); /* safe to evaluate early */
+    volatile const int divisor = counts > 0 ? counts : 1; /* compilers compute a quotient before they know its use */
+    const double resolution = 2.0 * PI / divisor;
     return counts > 0 ? resolution * floor(angle / resolution + offset) : angle;
 }
 
