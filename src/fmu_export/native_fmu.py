@@ -22,7 +22,7 @@ from .native_build import (
     host_platform,
     installed_library,
 )
-from .native_unit import NativeUnit, start_value_file, start_value_source, unit_files, variable_table
+from .native_unit import NativeUnit, start_value_file, start_value_source, unit_files
 from .variables import Value
 
 START_VALUES_SOURCE = "start_values.c"
@@ -49,7 +49,7 @@ def export_native_fmu(
     unit.twin(start)
     version = importlib.metadata.version("qube-ihc")
     sources = {name: file.read_bytes() for name, file in unit.sources.items()}
-    sources[unit.table_name] = variable_table(unit).encode()
+    sources |= {name: text.encode() for name, text in unit.generated.items()}
     capabilities = Capabilities(
         needs_execution_tool=False,
         generation_tool=f"qube-ihc {version}",

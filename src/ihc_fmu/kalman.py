@@ -8,7 +8,7 @@ filter would take an encoder zeroed a fraction of a count beside upright for a d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import frexp, inf, pi
+from math import frexp, inf, nan, pi
 
 import numpy as np
 
@@ -59,10 +59,14 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
 
     Upper rows in [1] and [1/s], row 5 in V/rad, row 6 in [1]. Process noise is integrated exactly over a sample (Van
     Loan, IEEE Trans. Automatic Control 23(3), 1978); the stationary covariance solves the discrete Riccati equation.
-    Raises UserError for an `h` that is not positive and finite.
+    Raises UserError for an `h` that is not positive and finite, and a model for which there is no such gain.
     """
     if not 0.0 < h < inf:
         raise UserError(f"the sample time must be positive and finite, found {h} s")
+    if not (np.isfinite(A).all() and np.isfinite(b).all()):
+        raise UserError(
+            "there is no Kalman filter for this nominal model: its inertias must have a positive determinant"
+        )
     o = options or KalmanOptions()
     F = np.zeros((6, 6))
     F[:4, :4], F[:4, 4], F[5, 5] = A, b, -BIAS_DECAY
@@ -73,9 +77,15 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
     noise = multiplied(transpose(transposed), [row[6:] for row in block[:6]])
     C = [[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 1.0]]
     variance = o.resolution**2 / 12.0 * (1e-3 / h)
-    seen = multiplied(C, stationary_covariance(transposed, C, noise, variance))
-    innovation = plus(multiplied(seen, transpose(C)), [[variance, 0.0], [0.0, variance]])
-    return np.array(transpose(solve(innovation, seen)))
+    try:
+        seen = multiplied(C, stationary_covariance(transposed, C, noise, variance))
+        innovation = plus(multiplied(seen, transpose(C)), [[variance, 0.0], [0.0, variance]])
+        M = np.array(transpose(solve(innovation, seen)))
+    except UserError:
+        M = np.full((6, 2), nan)
+    if not np.isfinite(M).all():
+        raise UserError("there is no Kalman filter for this nominal model: its Riccati equation has no solution")
+    return M
 
 
 def multiplied(A: Matrix, B: Matrix) -> list[list[float]]:

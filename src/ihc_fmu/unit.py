@@ -16,6 +16,7 @@ from . import homogeneity, laws, velocity
 from .interface import (
     DISCRETIZATIONS,
     LAWS,
+    MAX_SAMPLES,
     NORM_SOLVERS,
     ORDER,
     STATES,
@@ -31,8 +32,6 @@ from .swing_up import saturate, swing_up, swing_up_voltage
 from .velocity import LEAST, flushed
 
 TURN = 2.0 * math.pi
-MOST_STEPS = 1e9
-"""Most communication steps in a sample."""
 NOT_FINITE = "the command is not finite"
 MOST = 2.0**400
 """Bound on a control that is then multiplied by 2^homogeneity.SHIFT: beyond any voltage limit, within the numbers."""
@@ -69,6 +68,7 @@ class ControllerState:
     bias: float = 0.0  # Kalman filter's estimate of the bias of the measured delta [rad]
     theta_dot: float = 0.0  # velocity that the law uses [rad/s]
     delta_dot: float = 0.0
+    held: bool = False  # whether it has been said that a step held its inputs over several samples
 
 
 class IhcControllerUnit:
@@ -83,7 +83,7 @@ class IhcControllerUnit:
         self.exact = NORM_SOLVERS[values["norm_solver"] - 1] == "exact"
         self.semi_implicit = DISCRETIZATIONS[values["discretization"] - 1] == "semi_implicit"
         self.velocity_source = VELOCITY_SOURCES[values["velocity_source"] - 1]
-        self.from_inputs = self.velocity_source == "input"
+        self.from_inputs = self.velocity_source == "inputs"
         self._take_design()
         self.a_min: float = values["a_min"]
         self.b_max: float = values["b_max"]
@@ -156,23 +156,31 @@ class IhcControllerUnit:
         return []
 
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
-        """Sample the inputs where a sample instant falls on `time` [s]; hold the voltage otherwise.
+        """Sample the inputs at each sample instant within `step` [s] from `time` [s] on; hold the voltage otherwise.
 
-        Returns messages for the log. Raises UserError for a communication step of which the sample time is no multiple.
+        Returns messages for the log. Raises UserError where neither the sample time nor the communication step is a
+        multiple of the other.
         """
         if step != self.checked_step:
             self._check_step(step)
         state = self.state
-        index = math.floor((time - state.start_time) / self.sample_time + 0.5 * step / self.sample_time)
-        if index < state.next_sample:
-            return []
-        if index > state.next_sample:
-            raise UserError(f"sample {state.next_sample} of sample_time {self.sample_time:g} s was stepped over")
-        state.next_sample += 1
-        try:
-            return self.sample(inputs)
-        except (ArithmeticError, ValueError):  # finite measurements beyond the range of numbers on the way
-            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        samples = step / self.sample_time
+        beyond = samples - 0.5 if samples > 1.0 else 0.5 * samples
+        last = math.floor((time - state.start_time) / self.sample_time + beyond)
+        messages: list[str] = []
+        while state.next_sample <= last:
+            state.next_sample += 1
+            try:
+                messages += self.sample(inputs)
+            except (ArithmeticError, ValueError):  # finite measurements beyond the range of numbers on the way
+                messages += self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        if samples > 1.5 and not messages and not state.held:
+            state.held = True
+            return [
+                f"a communication step of {step:g} s holds the inputs over several samples of sample_time = "
+                f"{self.sample_time:g} s"
+            ]
+        return messages
 
     def sample(self, inputs: tuple[float, ...]) -> list[str]:
         """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
@@ -228,11 +236,16 @@ class IhcControllerUnit:
         self.state = ControllerState(**fields)
 
     def _check_step(self, step: float) -> None:
-        ratio = self.sample_time / step
-        if ratio < 1.0 - 1e-6 or ratio > MOST_STEPS or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        ratio = step / self.sample_time if step > self.sample_time else self.sample_time / step
+        if step > self.sample_time and ratio > MAX_SAMPLES + 0.5:
             raise UserError(
-                f"sample_time must be a multiple of the communication step, found sample_time = {self.sample_time:g} s "
-                f"and a communication step of {step:g} s"
+                f"a communication step must not exceed {MAX_SAMPLES} samples of sample_time = {self.sample_time:g} s, "
+                f"found {step:g} s"
+            )
+        if not math.isfinite(ratio) or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise UserError(
+                f"sample_time must be a multiple of the communication step, or the step of it, found sample_time = "
+                f"{self.sample_time:g} s and a communication step of {step:g} s"
             )
         self.checked_step = step
 

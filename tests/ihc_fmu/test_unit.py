@@ -2,6 +2,7 @@
 
 import json
 import math
+import random
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from ihc_fmu.sliding_mode import fitted_smc
 from ihc_fmu.supervisor import Fault, Mode
 
 OUTPUTS = [v.name for v in INTERFACE.of("output")]
-STATE_INPUT = {"velocity_source": "input"}
+STATE_INPUT = {"velocity_source": "inputs"}
 
 
 def outputs(unit):
@@ -136,18 +137,25 @@ def test_samples_count_from_the_start_time(controller):
     np.testing.assert_array_equal(rows, early)
 
 
-@pytest.mark.parametrize("step", [2e-3, 3e-4, 7e-4, 1.001e-3])
-def test_step_that_does_not_divide_the_sample_time_is_refused_with_both(controller, step):
-    unit = started(controller(), (0, 3, 0, 0))
-    with pytest.raises(ValueError, match=rf"found sample_time = 0.001 s and a communication step of {step:g} s"):
-        unit.step(0.0, step, (0.0, 3.0, 0.0, 0.0))
+@pytest.mark.parametrize("ratio", [2, 10, 16])
+def test_a_longer_step_runs_the_samples_that_fall_into_it_on_held_inputs_and_says_so_once(controller, ratio):
+    measurements = swinging(duration=0.32)[: 320 // ratio * ratio : ratio]
+    held = feed(started(controller(), measurements[0]), np.repeat(measurements, ratio, axis=0))
+    unit, said = started(controller(), measurements[0]), []
+    for k, seen in enumerate(measurements):
+        said += unit.step(k * ratio * 1e-3, ratio * 1e-3, tuple(seen))
+        np.testing.assert_array_equal(unit.outputs(), held[(k + 1) * ratio - 1])
+    (message,) = said
+    assert f"a communication step of {ratio * 1e-3:g} s holds the inputs over several samples" in message
 
 
-def test_sample_that_was_stepped_over_is_noticed(controller):
-    unit = started(controller(), (0, 3, 0, 0))
-    unit.step(0.0, 1e-3, (0.0, 3.0, 0.0, 0.0))
-    with pytest.raises(ValueError, match=r"sample 1 of sample_time 0.001 s was stepped over"):
-        unit.step(2e-3, 1e-3, (0.0, 3.0, 0.0, 0.0))
+def test_steps_long_and_short_leave_out_no_sample_and_repeat_none(controller):
+    unit, rng, time = started(controller(sample_time=1e-3), (0, 3, 0, 0)), random.Random(4), 0.0
+    for _ in range(300):
+        step = rng.choice([2.5e-4, 5e-4, 1e-3, 3e-3])
+        unit.step(time, step, (0.0, 3.0, 0.0, 0.0))
+        time += step
+        assert abs(unit.state.next_sample - time / 1e-3) <= 1.0
 
 
 @pytest.mark.parametrize(
@@ -267,7 +275,7 @@ def test_pendulum_that_turns_over_and_over_has_a_steady_velocity(controller):
 
 def test_velocities_come_from_the_inputs_only_when_chosen(controller):
     seen = (0.0, 0.05, 0.7, -0.4)
-    for source, expected in (("input", (0.7, -0.4)), ("filter", (0.0, 0.0))):
+    for source, expected in (("inputs", (0.7, -0.4)), ("filter", (0.0, 0.0))):
         found = outputs(feed_one(controller(velocity_source=source), seen))
         assert (found["theta_dot_estimate"], found["delta_dot_estimate"]) == expected
 

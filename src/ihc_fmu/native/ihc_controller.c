@@ -24,7 +24,6 @@ static const double LEAST = 0x1p-1000;          /* smaller measurements and filt
 static const double LEAST_ESTIMATE = 0x1p-300;  /* ... and smaller estimates of an observer */
 static const double SMALL = 0x1p-600, LARGE = 0x1p600; /* 2^-SHIFT, 2^SHIFT */
 static const double MOST = 0x1p400;        /* beyond any voltage limit */
-static const double MOST_STEPS = 1e9;      /* communication steps in a sample */
 static const double CONVERGED = 1e-9;      /* a Newton step so small leaves an error of its square */
 static const double BIAS_DECAY = 1e-3;     /* rate at which the Kalman filter forgets the bias [1/s] */
 static const double REST_VELOCITY = 0.05;  /* the pendulum counts as at rest below this [rad/s] ... */
@@ -596,7 +595,7 @@ static void observed_state(const ihc_state *s, double x[N])
 
 static void first_estimate(const ihc_params *p, const ihc_inputs *u, double x[N])
 {
-    const int measured = p->velocity_source == IHC_VELOCITY_INPUT;
+    const int measured = p->velocity_source == IHC_VELOCITY_INPUTS;
     x[0] = u->theta;
     x[1] = wrap(u->delta);
     x[2] = measured ? u->theta_dot : 0.0;
@@ -633,7 +632,7 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
     const double delta = unwrap(s, u->delta); /* for those who differentiate; whole turns cost it small digits */
     x[0] = u->theta;
     x[1] = wrap(u->delta);
-    if (p->velocity_source == IHC_VELOCITY_INPUT) {
+    if (p->velocity_source == IHC_VELOCITY_INPUTS) {
         x[2] = u->theta_dot;
         x[3] = u->delta_dot;
     } else if (p->velocity_source == IHC_VELOCITY_KALMAN) {
@@ -836,22 +835,37 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     }
 }
 
+/* Whether one of the two times is a multiple of the other. */
+static ihc_status check_step(double sample_time, double step)
+{
+    const double ratio = step > sample_time ? step / sample_time : sample_time / step;
+    if (step > sample_time && ratio > (double)IHC_MAX_SAMPLES + 0.5) {
+        return IHC_TOO_MANY_SAMPLES;
+    }
+    return fabs(ratio - nearbyint(ratio)) <= 1e-6 * ratio ? IHC_OK : IHC_STEP_NOT_MULTIPLE; /* also for NaN */
+}
+
 ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step,
                     const ihc_inputs *u)
 {
-    const double ratio = p->sample_time / step;
-    if (ratio < 1.0 - 1e-6 || ratio > MOST_STEPS || fabs(ratio - nearbyint(ratio)) > 1e-6 * ratio) {
-        return IHC_STEP_NOT_DIVISOR;
+    const double samples = step / p->sample_time;
+    ihc_status status = check_step(p->sample_time, step);
+    if (status != IHC_OK) {
+        return status;
     }
-    const double index = floor((time - s->start_time) / p->sample_time + 0.5 * step / p->sample_time);
-    if (index < (double)s->next_sample) {
-        return IHC_OK;
+    const double beyond = samples > 1.0 ? samples - 0.5 : 0.5 * samples;
+    const double last = floor((time - s->start_time) / p->sample_time + beyond);
+    while ((double)s->next_sample <= last) {
+        s->next_sample++;
+        if (sample(p, q, s, u) != IHC_OK) {
+            status = IHC_NEW_FAULT;
+        }
     }
-    if (index > (double)s->next_sample) {
-        return IHC_SAMPLE_MISSED;
+    if (status == IHC_OK && samples > 1.5 && !s->held) {
+        s->held = 1;
+        return IHC_INPUTS_HELD;
     }
-    s->next_sample++;
-    return sample(p, q, s, u);
+    return status;
 }
 
 void ihc_get_outputs(const ihc_state *s, ihc_outputs *y)
