@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
 import secrets
 import sys
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from . import interrupts
+from . import signals
 from .display import (
     console,
     degrade_output,
@@ -67,9 +68,20 @@ class Method(StrEnum):
 hil_commands.register(app)
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        console.print(f"qube-ihc {importlib.metadata.version('qube-ihc')}", highlight=False)
+        raise typer.Exit
+
+
 @app.callback()
-def options(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False) -> None:
-    """Take what stands before the command; `main` has seen to it."""
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False,
+) -> None:
+    """Take the options that stand before a command; `main` has seen to --debug."""
 
 
 def main() -> None:
@@ -83,7 +95,7 @@ def main() -> None:
     from .fmu import FmuError
     from .hil.device import DeviceError
 
-    interrupts.as_ctrl_c()
+    signals.as_ctrl_c()
     degrade_output()
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
@@ -91,7 +103,7 @@ def main() -> None:
         app(arguments)
     except SystemExit as end:
         if end.code == CTRL_C:  # Typer makes this of a KeyboardInterrupt
-            sys.exit(interrupts.exit_code())
+            sys.exit(signals.exit_code())
         raise
     except UserError as error:
         say_error(error, traceback=debug)
@@ -229,8 +241,11 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
-    with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names, other_model=other_model)
+    with console.status("building") if names else nullcontext() as status:
+        building = None if status is None else lambda what: status.update(f"building {what}")
+        paths = export_units(
+            found, parameters, nominal, output, changes, smc, kind, names, building, other_model=other_model
+        )
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 
@@ -238,8 +253,6 @@ def export(
 def _load_design(path: Path) -> Design:
     from ihc_fmu.design import Design
 
-    if not path.is_file():
-        raise UserError(f"design file {path} does not exist")
     return Design.load(path)
 
 

@@ -96,8 +96,10 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     """
     try:
         status = path.stat()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
+    except OSError as error:
+        raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
         if key not in _unpacked:

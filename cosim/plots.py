@@ -50,6 +50,7 @@ def law_of(result: Result) -> str:
 
 def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> list[Path]:
     """Write angles.png, norm.png, voltage.png and homogeneous_norm.png, one curve per entry of `results`, to `folder`."""
+    results = {literal(name): result for name, result in results.items()}
     figures = {
         "angles": _angles(results),
         "norm": _logarithmic(results, angle_norm, Q),
@@ -97,12 +98,17 @@ def positive(axis: Any, time: np.ndarray, signal: np.ndarray, colour: str, label
 
 def save_figure(figure: Figure, path: Path, title: str) -> Path:
     """Write a PNG, the same bytes for the same figure; beside `path` first, then renamed."""
-    figure.suptitle(title, fontsize="medium")
+    figure.suptitle(literal(title), fontsize="medium")
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
     write_file(path, buffer.getvalue())
     return path
+
+
+def literal(text: str) -> str:
+    """Return a user's text such that Matplotlib draws its dollar signs instead of setting formulas between them."""
+    return text.replace("$", r"\$")
 
 
 def angle(result: Result, name: str) -> np.ndarray:

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from fmu_export.files import uninterrupted, write_files
-from fmu_export.reading import read_bytes, read_json
+from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError
 
@@ -100,7 +100,7 @@ class Result:
 
 def _description(path: Path) -> dict[str, Any]:
     """Return the description of a table, checked against its own digest; raise UserError for another file."""
-    header = read_json(path, "result")
+    header = parse_json(read_text(path, "result"), path, finite=False)
     found = header.get("format") if isinstance(header, dict) else None
     if found in EARLIER_FORMATS:
         raise UserError(f"{path} is of an earlier version, which kept no digest of the table; make the result again")

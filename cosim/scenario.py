@@ -11,6 +11,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from fmu_export.files import is_file
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.interface import VELOCITY_SOURCES
@@ -19,6 +20,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files
 from .errors import UserError
+from .fmu import Value
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
 from .results import Result
@@ -206,11 +208,10 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     Raises UserError that names the file, the entry, the rule and the value.
     """
     path = Path(name)
-    if not path.suffix and not path.is_file():  # a folder `paper` does not hide the scenario `paper`
-        built_in = BUILT_IN / f"{name}.toml"
-        if built_in.exists():
-            path = built_in
-        elif not path.exists():
+    if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
+        if name in built_in_names():
+            path = BUILT_IN / f"{name}.toml"
+        else:
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     data = read_toml(path, "scenario")
     return _validated({"name": path.stem, **data}, str(path)), path.parent
@@ -301,7 +302,7 @@ def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[P
 
     def find(file: str) -> Path:
         beside = (folder or Path()) / file
-        return beside if folder is not None and beside.is_file() else fmus / file
+        return beside if folder is not None and is_file(beside) else fmus / file
 
     design = scenario.controller.design
     return (
@@ -344,6 +345,8 @@ def _design_values(path: Path, voltage_limit: StartValue | None) -> dict[str, St
         status = path.stat()
     except FileNotFoundError:
         raise UserError(f"design file {path} does not exist") from None
+    except OSError as error:
+        raise UserError(f"design file {path} cannot be read: {error.strerror}") from None
     return _values_of(path, voltage_limit, status.st_mtime_ns, status.st_size)
 
 

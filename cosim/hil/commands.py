@@ -183,8 +183,8 @@ def _run(
 
     output.mkdir(parents=True, exist_ok=True)
     for path, rows in recover(output):
-        if rows is None:
-            problems.print(f"[yellow]note:[/] {escaped(path)} is not the log of a run; it stays as it is")
+        if isinstance(rows, str):
+            problems.print(f"[yellow]note:[/] {escaped(rows)}; the file stays as it is")
         else:
             console.print(f"recovered {rows} rows of a run that was killed: {escaped(path)}")
     path = free_path(output, "run")

@@ -65,7 +65,8 @@ def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
     Files of the same names are replaced, others stay. The file `last`, which describes the others, comes last; otherwise
     the order is that of the names. Where the block does not end well `folder` is as it was. Raises as `replacing` does.
     """
-    made = [place for place in (folder, *folder.parents) if not place.exists()]
+    with _named(folder):
+        made = [place for place in (folder, *folder.parents) if not place.exists()]
     place = folder / f".{secrets.token_hex(6)}.tmp"
     try:
         with _named(folder):
@@ -87,6 +88,14 @@ def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
         for empty in made:
             with suppress(OSError):  # not empty: the block ended well, or others wrote there meanwhile
                 empty.rmdir()
+
+
+def is_file(path: Path) -> bool:
+    """Return whether `path` is a file; a name that cannot be one, such as one too long, is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 @contextmanager

@@ -76,8 +76,11 @@ def parse_toml(text: str, source: object) -> dict[str, Any]:
     return data
 
 
-def parse_json(text: str, source: object) -> Any:
-    """Return the contents of JSON text as the standard has it: finite numbers, every key once; raise UserError."""
+def parse_json(text: str, source: object, *, finite: bool = True) -> Any:
+    """Return the contents of JSON text as the standard has it, every key once; raise UserError.
+
+    Numbers must be finite, as the standard has it, unless `finite` is false.
+    """
 
     def number(digits: str) -> int:
         if len(digits) > _MOST_DIGITS:
@@ -86,11 +89,13 @@ def parse_json(text: str, source: object) -> Any:
 
     def real(digits: str) -> float:
         value = float(digits)
-        if not math.isfinite(value):
+        if finite and not math.isfinite(value):
             raise UserError(f"{source} must have finite numbers, found {digits[:40]}")
         return value
 
-    def constant(name: str) -> NoReturn:
+    def constant(name: str) -> float:
+        if not finite:
+            return float(name)
         raise UserError(f"{source} must have finite numbers, found {name}")
 
     def table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -375,22 +375,6 @@ def test_fault_survives_the_saved_state(controller):
     assert feed(copy, [(0, 0.1, 0, 0)], start=1)[-1].tolist() == [0.0, *unit.outputs()[1:]]
 
 
-# What it is for
-
-
-def test_homogeneous_controller_is_steadier_than_the_linear_one_with_encoders(controller, closed_loop, error_norm):
-    """RMS |q| of the last 3 s of balancing, mean over random encoder offsets: about 0.010 rad against 0.014 rad."""
-    steady = {"LC": [], "IHC": []}
-    for offsets in np.random.default_rng(1).random((6, 2)):
-        changes = dict(zip(("delta_0", "theta_encoder_offset", "delta_encoder_offset"), (0.02, *offsets), strict=True))
-        for law, found in steady.items():
-            run = closed_loop(controller(law=law), 6.0, changes=changes)
-            found.append(np.sqrt(np.mean(error_norm(run)[-3000:] ** 2)))
-    linear, homogeneous = np.mean(steady["LC"]), np.mean(steady["IHC"])
-    assert homogeneous < 0.9 * linear
-    assert linear == pytest.approx(0.014, rel=0.3)
-
-
 def test_norm_at_capture_is_that_of_the_state_in_the_law(controller, closed_loop, design):
     """The observer decides on the capture, the law sees the filter: its norm must be of the same state."""
     run = closed_loop(controller(norm_solver="exact", a_min=1e-3, b_max=20.0), 1.5)
