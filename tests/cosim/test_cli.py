@@ -161,7 +161,7 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
         (("run", "tilt", "--set", "run.step=nan"), "tilt: run.step must be a finite number, found nan"),
         (("run", "tilt", "--set", "run.duration=-1"), "tilt: run.duration must be greater than 0, found -1"),
         (("run", "tilt", "--set", "plant.start.delta_0=nan"), "plant.delta_0 must be finite, found nan"),
-        (("run", "tilt", "--set", "plant.start.m_p=-1"), "plant.m_p must lie in [0, inf] kg, found -1"),
+        (("run", "tilt", "--set", "plant.start.m_p=-1"), "plant.m_p must lie in [1e-12, 1e+12] kg, found -1"),
         (
             ("run", "tilt", "--set", "controller.start.lwa=LC"),
             "controller has no variable named 'lwa'; did you mean law",
