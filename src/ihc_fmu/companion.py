@@ -8,7 +8,9 @@ section III-B of the paper, without the paper's assumption that A has a zero eig
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 import numpy as np
 
@@ -64,15 +66,44 @@ def chain_form(A: Array, b: Array) -> ChainForm:
     condition = np.linalg.cond(C / norms) if norms.all() else np.inf
     if condition > 1e12:
         raise UserError(f"(A, b) must be controllable; the condition of its controllability matrix is {condition:.3g}")
-    q = np.linalg.solve((C / norms).T, np.eye(n)[-1]) / norms[-1]
-    rows = [q]
+    try:
+        rows = np.array([[float(entry) for entry in row] for row in _chain_rows(A.tolist(), b.tolist())])
+    except OverflowError:
+        raise UserError("A and b must be of moderate size, found a chain form beyond the range of numbers") from None
+    return ChainForm(Phi=rows[:n], row=rows[n], A_0=A - np.outer(b, rows[n]))
+
+
+def _chain_rows(A: Sequence[Sequence[float]], b: Sequence[float]) -> list[list[Fraction]]:
+    """Return the rows q, q A, ..., q A^n exactly: their entries span many decades, and every processor has the same bits."""
+    n = len(b)
+    M = [[Fraction(entry) for entry in row] for row in A]
+    krylov = [[Fraction(entry) for entry in b]]  # b, A b, ...
+    for _ in range(n - 1):
+        krylov.append([_dot(row, krylov[-1]) for row in M])
+    rows = [_dual(krylov)]
     for _ in range(n):
-        rows.append(rows[-1] @ scaled)
-    # q is that of the scaled matrix: with time unscaled it is q / omega^(n-1), and each further row gains a factor omega
-    scale = omega ** np.arange(1 - n, 2)
-    rows = [factor * r for factor, r in zip(scale, rows, strict=True)]
-    Phi = np.array(rows[:n])
-    return ChainForm(Phi=Phi, row=rows[n], A_0=A - np.outer(b, rows[n]))
+        rows.append([_dot(rows[-1], column) for column in zip(*M, strict=True)])
+    return rows
+
+
+def _dot(a: Sequence[Fraction], b: Sequence[Fraction]) -> Fraction:
+    return sum((p * q for p, q in zip(a, b, strict=True)), Fraction(0))
+
+
+def _dual(krylov: Sequence[Sequence[Fraction]]) -> list[Fraction]:
+    """Return q with q v = 0 for all v of `krylov` but the last, for which it is 1, by Gaussian elimination."""
+    n = len(krylov)
+    rows = [[*v, Fraction(i == n - 1)] for i, v in enumerate(krylov)]
+    for k in range(n):
+        pivot = next((i for i in range(k, n) if rows[i][k]), None)
+        if pivot is None:
+            raise UserError("(A, b) must be controllable; its controllability matrix is singular")
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        for i in range(n):
+            if i != k and rows[i][k]:
+                factor = rows[i][k] / rows[k][k]
+                rows[i] = [a - factor * b for a, b in zip(rows[i], rows[k], strict=True)]
+    return [rows[k][n] / rows[k][k] for k in range(n)]
 
 
 def weights(n: int, mu: float) -> Array:

@@ -30,6 +30,10 @@ SCALES = (1e-9, 1e9)
 SLACK = 1e-6
 """Strictness demanded of the solver, relative: its result must satisfy the inequalities after rounding."""
 
+BALANCES = (1.0, 0.0, 0.5)
+"""Shares of alpha for which the coordinates of the program are balanced, one after the other until the result proves itself:
+near mu = 0 the solver stops early, in one case of four too early."""
+
 _QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """Numbers beyond the range end in a refusal by `checked_system`, `chain_form` or the certificate, not in warnings."""
 
@@ -358,7 +362,12 @@ def _optimize(A: Array, b: Array, k_lin: Array | None, options: Options) -> Desi
     """Solve for X, and y where k_lin is None; for a matched disturbance also over a grid of its multiplier tau."""
     what = f"alpha = {options.alpha:g} 1/s, mu = {options.mu:g}"
     if not options.d_max:
-        return _optimize_for(A, b, k_lin, options, 1.0, what)
+        for share in BALANCES[:-1]:
+            try:
+                return _optimize_for(A, b, k_lin, options, 1.0, what, share)
+            except CertificateError:
+                continue
+        return _optimize_for(A, b, k_lin, options, 1.0, what, BALANCES[-1])
     best: Design | None = None
     for tau in _multipliers(options):
         try:
@@ -377,12 +386,14 @@ def _multipliers(options: Options) -> Array:
     return np.geomspace(1e-2, 1e2, 25) / options.d_max**2
 
 
-def _optimize_for(A: Array, b: Array, k_lin: Array | None, options: Options, tau: float, what: str) -> Design:
+def _optimize_for(
+    A: Array, b: Array, k_lin: Array | None, options: Options, tau: float, what: str, share: float = 1.0
+) -> Design:
     import cvxpy as cp  # noqa: PLC0415
 
     p = _scale(A, b, k_lin, options.mu, options.u_max or 1.0)
     if k_lin is not None:
-        p = p.balanced(options.alpha)
+        p = p.balanced(share * options.alpha)
     n = len(b)
     X = cp.Variable((n, n), symmetric=True)
     y = cp.Variable((1, n)) if k_lin is None else None

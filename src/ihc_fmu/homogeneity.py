@@ -16,7 +16,7 @@ Standard library only: this module travels inside the Python FMU.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, floor, frexp, inf, isfinite, ldexp, log, nan
+from math import exp, floor, frexp, inf, isfinite, isnan, ldexp, log, nan
 from typing import NamedTuple
 
 from fmu_export.errors import UserError
@@ -83,6 +83,15 @@ def solve(M: Matrix, B: Matrix) -> list[list[float]]:
                 rest += rows[k][i] * rows[i][j]
             rows[k][j] = (rows[k][j] - rest) / rows[k][k]
     return [row[n:] for row in rows]
+
+
+def refined(M: Matrix, x: Vector, b: Vector) -> list[float]:
+    """Return the solution x of M x = b after three iterative refinements, which make entries that should be 0 tiny."""
+    found = list(x)
+    for _ in range(3):
+        residual = [[right - dot(row, found)] for row, right in zip(M, b, strict=True)]
+        found = [entry + change for entry, (change,) in zip(found, solve(M, residual), strict=True)]
+    return found
 
 
 def transpose(M: Matrix) -> list[list[float]]:
@@ -207,13 +216,14 @@ def homogeneous_norm(polynomial: NormPolynomial, mu: float, guess: float = 1.0) 
     NEWTON_LIMIT iterations; where P is not positive definite there may be none, and the result may be NaN.
     """
     c, exponent = polynomial
-    size = max(map(abs, c))
-    if not size < inf:
+    if not all(map(isfinite, c)):
         return nan
-    if size == 0.0:
+    if not any(c):
         return 0.0
     root = _root(c, mu, _scaled_guess(guess, exponent))
-    return root if exponent == 0 else _power_of_two(root, exponent)
+    if exponent == 0 or isnan(root):
+        return root
+    return LARGEST if frexp(root)[1] + exponent > 1024 else ldexp(root, exponent)
 
 
 def _scaled_guess(guess: float, exponent: int) -> float:
@@ -222,11 +232,6 @@ def _scaled_guess(guess: float, exponent: int) -> float:
         near = 0.0 < guess < inf and abs(frexp(guess)[1] - exponent) < FAR
         guess = ldexp(guess, -exponent) if near else 1.0
     return guess if GUESSES[0] < guess < GUESSES[1] else 1.0
-
-
-def _power_of_two(value: float, exponent: int) -> float:
-    """Return value 2^exponent, LARGEST beyond the range of numbers; NaN stays."""
-    return LARGEST if frexp(value)[1] + exponent > 1024 else ldexp(value, exponent)
 
 
 def _root(c: Vector, mu: float, guess: float) -> float:

@@ -75,16 +75,17 @@ def _gain_row(name: str, text: str) -> list[Variable]:
 
 
 _NOMINAL = (
-    ("arm_inertia", "kg.m2", "J_r + m_p L_r^2"),
-    ("pendulum_inertia", "kg.m2", "J_p + m_p L_p^2/4"),
-    ("swing_inertia", "kg.m2", "m_p L_p^2/4"),
-    ("coupling", "kg.m2", "m_p L_p L_r/2"),
-    ("gravity_torque", "N.m", "m_p g_p L_p/2"),
-    ("arm_damping", "N.m.s/rad", "D_r"),
-    ("pendulum_damping", "N.m.s/rad", "D_p"),
-    ("torque_per_volt", "N.m/V", "k_m/R_m"),
-    ("motor_damping", "N.m.s/rad", "k_m^2/R_m"),
+    ("arm_inertia", "kg.m2", "J_r + m_p L_r^2", 1.0, 1e-12),
+    ("pendulum_inertia", "kg.m2", "J_p + m_p L_p^2/4", 1.0, 1e-12),
+    ("swing_inertia", "kg.m2", "m_p L_p^2/4", 1.0, 0.0),
+    ("coupling", "kg.m2", "m_p L_p L_r/2; its square is below the product of the inertias", 0.5, 0.0),
+    ("gravity_torque", "N.m", "m_p g_p L_p/2", 1.0, 0.0),
+    ("arm_damping", "N.m.s/rad", "D_r", 1.0, 0.0),
+    ("pendulum_damping", "N.m.s/rad", "D_p", 1.0, 0.0),
+    ("torque_per_volt", "N.m/V", "k_m/R_m", 1.0, 1e-12),
+    ("motor_damping", "N.m.s/rad", "k_m^2/R_m", 1.0, 0.0),
 )
+"""Name, unit, meaning, neutral start value, smallest value of the nominal model's numbers."""
 
 _NORMS = "canonical homogeneous norm of the estimated state"
 
@@ -122,9 +123,14 @@ INTERFACE = Interface(
         ],
         _fixed("mu", 1.0, "1", "minus the degree of homogeneity; 1 rejects matched disturbances", min=0.0, max=1.0),
         _tunable(
-            "a_min", 0.88, "1", "smallest value of the norm in the law; a_min = b_max = 1 is the linear law", min=1e-6
+            "a_min",
+            0.88,
+            "1",
+            "smallest value of the norm in the law; a_min = b_max = 1 is the linear law",
+            min=1e-6,
+            max=1e12,
         ),
-        _tunable("b_max", 1.0, "1", "largest value of the norm in the law", min=1e-6),
+        _tunable("b_max", 1.0, "1", "largest value of the norm in the law", min=1e-6, max=1e12),
         _tunable("j_max", 3, "1", "bisections per sample in Algorithm 1", type="Integer", min=1, max=60),
         _choice("norm_solver", "algorithm1", NORM_SOLVERS, "how the norm in the law is computed"),
         _choice("discretization", "explicit", DISCRETIZATIONS, "state in the law: the present or the next sample's"),
@@ -140,7 +146,7 @@ INTERFACE = Interface(
             "velocities: estimated or taken from the inputs",
             tunable=False,
         ),
-        _fixed("velocity_filter_cutoff", 50.0, "rad/s", "w of the velocity filter w s/(s + w)", min=0.1),
+        _fixed("velocity_filter_cutoff", 50.0, "rad/s", "w of the velocity filter w s/(s + w)", min=0.1, max=1e9),
         _tunable("enabled", True, "1", "false holds the controller idle at 0 V", type="Boolean"),
         _tunable("swing_up_enabled", True, "1", "false waits idle until the pendulum is lifted", type="Boolean"),
         _tunable("swing_up_energy_gain", 43000.0, "1", "k_e, arm acceleration per energy error [rad/(s^2 J)]", min=0.0),
@@ -155,15 +161,32 @@ INTERFACE = Interface(
         _tunable("capture_angle", 0.5, "rad", "and the pendulum within this angle of upright", min=0.0),
         _tunable("capture_velocity", 6.3, "rad/s", "and slower than this", min=0.0),
         _tunable("fall_back_angle", 0.8, "rad", "beyond this angle the stabilizing law gives up", min=0.0),
-        *[_fixed(f"nominal_{name}", 1.0, unit, f"nominal model: {text}", min=0.0) for name, unit, text in _NOMINAL],
+        *[
+            _fixed(f"nominal_{name}", start, unit, f"nominal model: {text}", min=low, max=1e12)
+            for name, unit, text, start, low in _NOMINAL
+        ],
         *[_fixed(name, 0.0, "1", "gain of the Kalman filter, for kalman_sample_time") for name in kalman_gains()],
         _fixed("kalman_sample_time", 0.0, "s", "sample time that the Kalman filter's gain is for; 0 is none", min=0.0),
         _fixed("kalman_angle", 0.6, "rad", "beyond it the swing-up observer's gains are used", min=0.0),
         _tunable(
             "compensate_disturbance", True, "1", "subtract the Kalman filter's disturbance estimate", type="Boolean"
         ),
-        _fixed("observer_acceleration_noise", 1.0, "rad2/s3", "trust in the nominal model during swing-up", min=1e-12),
-        _fixed("observer_resolution", 2 * 3.141592653589793 / 2048, "rad", "resolution of the encoders", min=1e-12),
+        _fixed(
+            "observer_acceleration_noise",
+            1.0,
+            "rad2/s3",
+            "trust in the nominal model during swing-up",
+            min=1e-12,
+            max=1e12,
+        ),
+        _fixed(
+            "observer_resolution",
+            2 * 3.141592653589793 / 2048,
+            "rad",
+            "resolution of the encoders",
+            min=1e-12,
+            max=10.0,
+        ),
     ),
     step_size=1e-3,
     stop_time=1.0,

@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from math import cos, sin
 from typing import Any, NamedTuple
 
+from fmu_export.errors import UserError
+
 
 class NominalModel(NamedTuple):
     """Lumped coefficients, with the paper's zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r."""
@@ -27,8 +29,18 @@ class NominalModel(NamedTuple):
 
 
 def nominal_model(values: Mapping[str, Any]) -> NominalModel:
-    """Return the model from the controller's parameters `nominal_...`."""
-    return NominalModel(*[values[f"nominal_{name}"] for name in NominalModel._fields])
+    """Return the model from the controller's parameters `nominal_...`.
+
+    Raises UserError where the determinant of its inertia matrix upright, where it is smallest, is lost in rounding.
+    """
+    m = NominalModel(*[values[f"nominal_{name}"] for name in NominalModel._fields])
+    diagonal = m.arm_inertia * m.pendulum_inertia
+    if not diagonal - m.coupling * m.coupling > 1e-9 * diagonal:
+        raise UserError(
+            f"the square of nominal_coupling must be below nominal_arm_inertia times nominal_pendulum_inertia, found "
+            f"{m.coupling:g}, {m.arm_inertia:g} and {m.pendulum_inertia:g} kg.m2"
+        )
+    return m
 
 
 def accelerations(

@@ -7,6 +7,7 @@ s' = -kappa s - rho sign(s).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from fmu_export.errors import UserError
 
 from .companion import chain_form
+from .homogeneity import product, transpose
 
 Array = np.ndarray
 
@@ -32,6 +34,15 @@ FITTED_KAPPA = 19.3
 FITTED_RHO = 1.17
 
 
+def polynomial_of(roots: Sequence[complex]) -> list[complex]:
+    """Return the coefficients of prod(s - root), highest power first, by plain arithmetic."""
+    coefficients = [1.0 + 0.0j]
+    for root in roots:
+        shifted = [root * value for value in coefficients]
+        coefficients = [a - b for a, b in zip([*coefficients, 0.0j], [0.0j, *shifted], strict=True)]
+    return coefficients
+
+
 def sliding_mode_design(A: Array, b: Array, poles: Array, kappa: float, rho: float) -> SlidingMode:
     """Return the SMC whose sliding motion has the n - 1 `poles` [1/s] and that reaches s = 0 with rate kappa [1/s].
 
@@ -42,14 +53,15 @@ def sliding_mode_design(A: Array, b: Array, poles: Array, kappa: float, rho: flo
     poles = np.asarray(poles, complex)
     if poles.shape != (len(b) - 1,) or (np.real(poles) >= 0).any():
         raise UserError(f"the surface needs {len(b) - 1} stable poles, found {poles}")
-    coefficients = np.asarray(np.poly(poles), complex)
-    if np.abs(np.imag(coefficients)).max() > 1e-9 * np.abs(coefficients).max():
+    coefficients = polynomial_of(poles.tolist())
+    if max(abs(c.imag) for c in coefficients) > 1e-9 * max(map(abs, coefficients)):
         raise UserError(f"complex poles must come in conjugate pairs, found {poles}")
     if kappa < 0.0 or rho < 0.0:
         raise UserError(f"kappa and rho must be non-negative, found {kappa} 1/s and {rho} V")
-    Phi = chain_form(A, b).Phi  # its rows are q, qA, ..., so c = sum of coefficient times row
-    c = np.real(coefficients)[::-1] @ Phi
-    return SlidingMode(c=c, k_eq=-(c @ A + kappa * c), rho=rho)
+    columns = transpose(chain_form(A, b).Phi.tolist())  # Phi's rows are q, qA, ..., so c = sum of coefficient times row
+    c = product(columns, [value.real for value in reversed(coefficients)])
+    k_eq = [-(of_A + kappa * entry) for of_A, entry in zip(product(transpose(A.tolist()), c), c, strict=True)]
+    return SlidingMode(c=np.array(c), k_eq=np.array(k_eq), rho=rho)
 
 
 def fitted_smc(A: Array, b: Array) -> SlidingMode:

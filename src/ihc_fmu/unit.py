@@ -88,7 +88,7 @@ class IhcControllerUnit:
         self.a_min: float = values["a_min"]
         self.b_max: float = values["b_max"]
         if self.a_min > self.b_max:
-            raise UserError(f"a_min must not exceed b_max, found a_min = {self.a_min} and b_max = {self.b_max}")
+            raise UserError(f"a_min must not exceed b_max, found a_min = {self.a_min:g} and b_max = {self.b_max:g}")
         self.j_max: int = values["j_max"]
         self.sample_time: float = values["sample_time"]
         self.limit: float = values["voltage_limit"]
@@ -104,8 +104,8 @@ class IhcControllerUnit:
         )
         if self.capture.angle > self.capture.fall_back_angle:
             raise UserError(
-                f"capture_angle must not exceed fall_back_angle, found {self.capture.angle} and "
-                f"{self.capture.fall_back_angle} rad"
+                f"capture_angle must not exceed fall_back_angle, found {self.capture.angle:g} and "
+                f"{self.capture.fall_back_angle:g} rad"
             )
         self._take_kalman_filter()
         self.state = ControllerState(interval=(self.a_min, self.b_max))
@@ -124,8 +124,11 @@ class IhcControllerUnit:
         self.row = [values[name] for name in vector("row")]
         Phi_t = homogeneity.transpose(self.Phi)
         columns = [[k + r, r] for k, r in zip(self.k_lin, self.row, strict=True)]
-        self.kz, self.row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
+        self.kz, row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
+        self.row_z = homogeneity.refined(Phi_t, row_z, self.row)
         self.Pz = homogeneity.to_chain(self.Phi, P)
+        if not all(math.isfinite(entry) for row in (self.kz, self.row_z, *self.Pz) for entry in row):
+            raise UserError("Phi, P, k_lin and row must be of moderate size, found a chain form that is not finite")
         self.mu: float = values["mu"]
         self.smc_c = [values[name] for name in vector("smc_c")]
         self.smc_k = [values[name] for name in vector("smc_k")]
@@ -275,17 +278,17 @@ class IhcControllerUnit:
     def _estimate(self, inputs: tuple[float, ...], delta: float) -> list[float]:
         """Return x for the law in force, delta in (-pi, pi]; advance the filter, and the observer where it is used."""
         state = self.state
-        theta = inputs[0]
+        theta, wrapped = inputs[0], math.remainder(inputs[1], TURN)  # whole turns cost `delta` small digits
         if self.from_inputs:
-            return [theta, math.remainder(delta, TURN), inputs[2], inputs[3]]
+            return [theta, wrapped, inputs[2], inputs[3]]
         if self.velocity_source == "kalman":
-            return self._kalman_estimate(theta, delta)
+            return self._kalman_estimate(theta, delta, wrapped)
         theta_dot, state.theta_lag = velocity.filter_velocity(self.cutoff, self.decay, state.theta_lag, theta)
         delta_dot, state.delta_lag = velocity.filter_velocity(self.cutoff, self.decay, state.delta_lag, delta)
         state.theta_dot, state.delta_dot = theta_dot, delta_dot
-        if state.mode == Mode.STABILIZING and abs(math.remainder(delta, TURN)) <= self.capture.fall_back_angle:
+        if state.mode == Mode.STABILIZING and abs(wrapped) <= self.capture.fall_back_angle:
             state.observed = (theta, delta, theta_dot, delta_dot)
-            return [theta, math.remainder(delta, TURN), theta_dot, delta_dot]
+            return [theta, wrapped, theta_dot, delta_dot]
         state.observed = velocity.observe(
             self.model, self.gains, state.observed, state.voltage, self.sample_time, theta, delta
         )
@@ -295,10 +298,10 @@ class IhcControllerUnit:
         theta, delta, theta_dot, delta_dot = self.state.observed
         return [theta, math.remainder(delta, TURN), theta_dot, delta_dot]
 
-    def _kalman_estimate(self, theta: float, delta: float) -> list[float]:
+    def _kalman_estimate(self, theta: float, delta: float, wrapped: float) -> list[float]:
         """Advance the Kalman filter; far from upright, where its linear gain is wrong, the swing-up observer."""
         state, h = self.state, self.sample_time
-        if abs(math.remainder(delta, TURN)) > self.kalman_angle:
+        if abs(wrapped) > self.kalman_angle:
             state.disturbance = state.bias = 0.0
             state.observed = velocity.observe(self.model, self.gains, state.observed, state.voltage, h, theta, delta)
         else:

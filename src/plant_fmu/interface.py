@@ -10,7 +10,7 @@ from math import pi
 
 from fmu_export.variables import Interface, Value, Variable
 
-from .parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
+from .parameters import PARAMETER_SETS, ParameterSet, QubeParameters, limits, parameter_set
 
 MOTOR_MODELS = ("static", "inductance")
 MAX_DELAY_STEPS = 1000
@@ -25,10 +25,13 @@ def _parameter(name: str, start: Value, unit: str, description: str, **rest: obj
 
 def _physical_parameters() -> list[Variable]:
     p = PARAMETER_SETS["ident"].parameters
-    return [
-        _parameter(f.name, getattr(p, f.name), f.metadata["unit"], f.metadata["description"], min=0.0)
-        for f in fields(QubeParameters)
-    ]
+    made = []
+    for f in fields(QubeParameters):
+        low, high = limits(f.metadata)
+        made.append(
+            _parameter(f.name, getattr(p, f.name), f.metadata["unit"], f.metadata["description"], min=low, max=high)
+        )
+    return made
 
 
 def _output(name: str, unit: str, description: str) -> Variable:
@@ -80,7 +83,12 @@ INTERFACE = Interface(
             "delta_encoder_offset", 0.8, "1", "where inside a count the pendulum's encoder was zeroed", min=0.0, max=1.0
         ),
         _parameter(
-            "noise_std", 0.0, "rad", "standard deviation of the noise on both angles before the encoder", min=0.0
+            "noise_std",
+            0.0,
+            "rad",
+            "standard deviation of the noise on both angles before the encoder",
+            min=0.0,
+            max=1e6,
         ),
         _parameter("noise_seed", 1, "1", "seed of the measurement noise", type="Integer", min=0),
         _parameter(

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 from fmu_export.errors import UserError
+
+SMALLEST, LARGEST = 1e-12, 1e12
+"""Limits of the constants in SI units: products of a few neither vanish nor leave the range of numbers."""
 
 PAPER = "Cruz-Ortiz et al., section V"
 RODS = "uniform rod about its centre, J = m L^2 / 12"
@@ -22,7 +26,8 @@ class QubeParameters:
     """The constants of eq. (5) and of the motor, tau = k_m (V - k_m theta') / R_m.
 
     Raises UserError where a value is not finite, or an inertia, mass, length or electrical constant is not positive,
-    or a damping or friction is negative.
+    or a damping or friction is negative, or one beyond SMALLEST or LARGEST; and where the inertia matrix is so nearly
+    singular that its determinant is lost in rounding.
     """
 
     m_p: float = _number("kg", "mass of the pendulum", PAPER)
@@ -46,6 +51,26 @@ class QubeParameters:
             rule = "positive" if entry.metadata["positive"] else "non-negative"
             if not math.isfinite(value) or value < 0 or (value == 0 and rule == "positive"):
                 raise UserError(f"{entry.name} must be finite and {rule}, found {value} {entry.metadata['unit']}")
+            low, high = limits(entry.metadata)
+            if not low <= value <= high:
+                raise UserError(f"{entry.name} must lie in [{low:g}, {high:g}] {entry.metadata['unit']}, found {value}")
+        self._check_inertia()
+
+    def _check_inertia(self) -> None:
+        """Refuse an inertia matrix whose determinant upright, where it is smallest, is below 1e-9 of its diagonal's."""
+        zeta = self.m_p * (self.L_p * self.L_p)
+        diagonal = (self.J_r + self.m_p * (self.L_r * self.L_r)) * (self.J_p + zeta / 4)
+        coupling = self.m_p * self.L_p * self.L_r / 2
+        if not diagonal - coupling * coupling > 1e-9 * diagonal:
+            raise UserError(
+                f"J_p and J_r must not vanish beside the pendulum's mass, found J_p = {self.J_p:g} kg.m2, J_r = "
+                f"{self.J_r:g} kg.m2 and m_p = {self.m_p:g} kg"
+            )
+
+
+def limits(metadata: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the smallest and the largest value of a constant, from its field's metadata."""
+    return (SMALLEST if metadata["positive"] else 0.0), LARGEST
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ Standard library only: this module travels inside the Python FMU.
 
 from __future__ import annotations
 
-from math import cos, floor, log, pi, sqrt
+from math import cos, floor, isfinite, log, pi, sqrt
 
 from fmu_export.errors import UserError
 
@@ -22,7 +22,8 @@ def quantize(angle: float, counts: int, offset: float) -> float:
     if counts == 0:
         return angle
     resolution = 2.0 * pi / counts
-    return resolution * floor(angle / resolution + offset)
+    count = angle / resolution + offset
+    return resolution * floor(count) if isfinite(count) else count
 
 
 def next_random(state: int) -> tuple[int, int]:

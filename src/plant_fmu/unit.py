@@ -14,7 +14,7 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from . import dynamics, sensors
-from .integrator import rk4_step, substeps
+from .integrator import flushed, rk4_step, substeps
 from .interface import MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
 from .parameters import QubeParameters
 
@@ -60,7 +60,8 @@ class QubePlant:
         except (OverflowError, ValueError):
             finite = False
         if not finite:
-            raise ArithmeticError(f"start values must give finite outputs, found x = {self.x}")
+            start = ", ".join(f"{value:g}" for value in self.x[:4])
+            raise ArithmeticError(f"start values must give finite outputs, found x = ({start})")
         return []
 
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
@@ -71,9 +72,10 @@ class QubePlant:
         """
         voltage, disturbance, tau_p = inputs
         if not math.isfinite(voltage + disturbance + tau_p):
-            raise UserError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = {inputs}")
+            found = ", ".join(f"{value:.17g}" for value in inputs)
+            raise UserError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = ({found})")
         limit = self.voltage_limit
-        applied = min(limit, max(-limit, voltage + disturbance))
+        applied, tau_p = flushed(min(limit, max(-limit, voltage + disturbance))), flushed(tau_p)
         count = substeps(step, self.longest_step)
         if count > MAX_SUBSTEPS:
             raise UserError(
@@ -95,8 +97,9 @@ class QubePlant:
         except (OverflowError, ValueError):  # sin and cos refuse infinity
             finite = False
         if not finite:
-            raise ArithmeticError(f"the state left the range of numbers, x = {self.x} before the step")
-        self.x, self.applied_voltage, self.applied_torque = x, applied, tau_p
+            before = ", ".join(f"{value:.9g}" for value in (*self.x, 0.0)[:5])
+            raise ArithmeticError(f"the state left the range of numbers, x = ({before}) before the step")
+        self.x, self.applied_voltage, self.applied_torque = tuple(map(flushed, x)), applied, tau_p
         if self.delay:
             self.delay_steps, self.delayed_step = delay_steps, step
         self.delay_line.append(self._measure())

@@ -37,6 +37,21 @@ def test_both_engines_give_the_same_bits(both, pair, name, order):
     assert len(result.time) == 4001
 
 
+@pytest.mark.parametrize("discretization", ["explicit", "semi_implicit"])
+def test_converged_controller_stays_converged(pair, discretization):
+    """700 s: without care squares underflow after 67 s, and the norm is 0/0."""
+    ideal = pair("tilt_ideal", controller__start__discretization=discretization)
+    names = ["plant.theta", "plant.delta", "controller.voltage", "controller.homogeneous_norm", "controller.mode"]
+    result = simulate(ideal, 1e-3, 700.0, record=names, every=100)
+    values = [result[name] for name in names]
+    assert np.isfinite(values).all()
+    assert set(result["controller.mode"][1:]) == {3}
+    after = result.time > 40.0
+    assert all(abs(column[after]).max() < 1e-20 for column in values[:4])
+    seen = abs(np.concatenate(values[:2]))
+    assert seen[seen > 0.0].min() >= 2.0**-300  # none that would slow the processor down
+
+
 @pytest.mark.parametrize(
     "options",
     [

@@ -622,10 +622,18 @@ CONTRADICTIONS = {
         {"velocity_source": 1, "sample_time": 1e-3},
         ["kalman_sample_time", "sample_time = 0.002 s"],
     ),
-    **{
-        name: (PLANT, {name: 0.0}, {name: 0.01}, [f"{name} must be positive"])
-        for name in ("m_p", "L_p", "J_p", "L_r", "J_r", "g_p", "R_m", "k_m", "L_m")
-    },
+    "inertia": (
+        PLANT,
+        {"J_p": 1e-12, "J_r": 1e-12, "m_p": 1.0},
+        {"m_p": 0.02},
+        ["J_p and J_r must not vanish beside", "J_r = 1e-12"],
+    ),
+    "nominal inertia": (
+        CONTROLLER,
+        {"nominal_coupling": 1.0},
+        {"nominal_coupling": 0.0},
+        ["the square of nominal_coupling must be below"],
+    ),
 }
 
 
@@ -874,7 +882,7 @@ def test_first_measurement_may_be_missing(native):
     assert instance.get("fault") == (1,)
 
 
-@pytest.mark.parametrize("changes", [{"theta_dot_0": 1e200}, {"m_p": 1e300}], ids=["velocity", "mass"])
+@pytest.mark.parametrize("changes", [{"theta_dot_0": 1e200}, {"m_p": 1e12, "J_r": 1e12}], ids=["velocity", "mass"])
 def test_outputs_of_the_plant_are_finite_or_the_call_fails(changes, native):
     instance = native(PLANT)
     instance.set(**changes)

@@ -188,7 +188,7 @@ def test_changed_start_values_are_in_description_resources_sources_and_instance(
 @pytest.mark.parametrize(
     ("name", "changes", "part"),
     [
-        (PLANT, {"m_p": 0.0}, "m_p must be finite and positive"),
+        (PLANT, {"m_p": 0.0}, r"m_p must lie in \[1e-12, 1e\+12\] kg"),
         (PLANT, {"solver_step": 1.0}, r"solver_step must lie in \[1e-07, 0.1\] s"),
         (PLANT, {"m_q": 1.0}, "did you mean m_p"),
         (PLANT, {"theta": 1.0}, "no parameter or input named 'theta'"),

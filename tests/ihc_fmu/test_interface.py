@@ -54,7 +54,7 @@ def test_what_the_estimators_are_built_from_is_fixed_and_what_an_operator_tunes_
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"a_min": 0.0}, r"a_min must lie in \[1e-06, inf\], found 0.0"),
+        ({"a_min": 0.0}, r"a_min must lie in \[1e-06, 1e\+12\], found 0.0"),
         ({"mu": 1.5}, r"mu must lie in \[0, 1\], found 1.5"),
         ({"law": "PID"}, "law must be one of LC, SMC, IHC, found 'PID'"),
         ({"law": 4}, r"law must lie in \[1, 3\], found 4"),

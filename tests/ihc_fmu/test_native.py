@@ -18,9 +18,11 @@ from ihc_fmu.interface import INTERFACE
 from ihc_fmu.native_unit import NATIVE
 from ihc_fmu.start_values import design_values, kalman_values
 from ihc_fmu.supervisor import Fault, Mode
+from ihc_fmu.unit import IhcControllerUnit
 from plant_fmu.native_unit import NATIVE as PLANT
 from plant_fmu.unit import QubePlant
 from tests.fmu_export.conftest import Host
+from tests.fmu_export.parity import compare, extreme_values
 
 EXACT = sys.platform == "linux" and platform.machine() == "x86_64"
 """Where Python and the binary call the same mathematical library, all results are equal to the last bit."""
@@ -349,6 +351,19 @@ def test_enormous_angle_of_the_pendulum_faults_both_or_neither(value, source, wh
 )
 def test_enormous_measurement_faults_both_idle_controllers_or_neither(name, value, source, pair):
     follow_a_spike(pair, UPRIGHT, name, value, velocity_source=source, enabled=False)
+
+
+def test_any_admissible_numbers_are_answered_alike(exported, start_values):
+    rng, ends = random.Random(3), []
+    for _ in range(300):
+        changes = extreme_values(INTERFACE, rng, start_values)
+        changes.pop("sample_time", None)
+        where = rng.choice((HANGING, UPRIGHT))
+        rows = MEASURED[where : where + 8]
+        if rng.random() < 0.5:
+            rows[4] = tuple(value * rng.choice((0.0, 1.0, 1e-310, 1e-200, 1e150, 1e300)) for value in rows[4])
+        ends.append(compare(exported[1], INTERFACE, IhcControllerUnit, start_values, changes, rows, EXACT))
+    assert {end: ends.count(end) > 10 for end in ("refused", "ran")} == dict.fromkeys(ends, True)
 
 
 # Refusals

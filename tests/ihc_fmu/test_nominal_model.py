@@ -69,5 +69,13 @@ def test_prediction_has_order_four():
 
 
 def test_model_takes_each_of_its_coefficients_from_its_own_parameter():
-    values = {f"nominal_{name}": float(i) for i, name in enumerate(model()._fields)}
-    assert nominal_model(values) == tuple(range(9))
+    values = {f"nominal_{name}": 9.0 - i for i, name in enumerate(model()._fields)}
+    assert nominal_model(values) == tuple(range(9, 0, -1))
+
+
+@pytest.mark.parametrize("inertia", [1.0, 0.5, 1.0 + 1e-12])
+def test_inertia_matrix_without_a_determinant_is_refused(inertia):
+    """J = [[inertia, -1], [-1, 1]]: singular, indefinite, singular in rounding."""
+    values = {f"nominal_{name}": 1.0 for name in model()._fields} | {"nominal_arm_inertia": inertia}
+    with pytest.raises(ValueError, match="the square of nominal_coupling must be below"):
+        nominal_model(values)

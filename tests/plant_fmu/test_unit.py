@@ -301,5 +301,7 @@ def test_inputs_that_are_not_finite_are_refused(inputs):
 
 
 def test_constants_that_contradict_eq_5_are_refused_by_name():
-    with pytest.raises(ValueError, match=r"J_p must be finite and positive, found 0\.0 kg\.m2"):
+    with pytest.raises(ValueError, match=r"J_p must lie in \[1e-12, 1e\+12\] kg\.m2, found 0\.0"):
         plant(J_p=0.0)
+    with pytest.raises(ValueError, match="J_p and J_r must not vanish beside the pendulum's mass, found J_p = 1e-12"):
+        plant(J_p=1e-12, J_r=1e-12, m_p=1.0)

@@ -8,6 +8,7 @@ enum { N = IHC_ORDER };
 
 enum {
     FAR = 100,   /* binary orders of magnitude between r and a norm beyond which N(r) is taken for 0 or infinite */
+    REFINEMENTS = 3,
     SHIFT = 600  /* states beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times them */
 };
 
@@ -38,6 +39,14 @@ static double clamp(double value, double low, double high)
 static double flushed(double value, double least)
 {
     return fabs(value) > 0.0 && fabs(value) < least ? 0.0 : value;
+}
+
+/* The value, of which the compiler knows nothing: it then computes no function or quotient before the argument has been
+ * found admissible, which it else does, to discard the result. A host may have unmasked floating-point exceptions. */
+static double opaque(double value)
+{
+    volatile const double same = value;
+    return same;
 }
 
 static double dot(const double a[N], const double b[N])
@@ -155,12 +164,11 @@ static double scaled_guess(double guess, int exponent)
     return guess > LEAST_GUESS && guess < LARGEST_GUESS ? guess : 1.0;
 }
 
-/* The root sigma of ln N(e^sigma) = 0, as e^sigma. Every logarithm and quotient has an argument that is safe whether or
- * not its result is used: compilers evaluate them early, and a host may have unmasked floating-point exceptions. */
+/* The root sigma of ln N(e^sigma) = 0, as e^sigma. */
 static double root_of(const double c[IHC_COEFFICIENTS], double mu, double guess)
 {
     double low = -UNBOUNDED, high = UNBOUNDED, last = UNBOUNDED;
-    double sigma = log(guess);
+    double sigma = log(opaque(guess));
     for (int k = 0; k < IHC_NEWTON_LIMIT; k++) {
         const double s = exp(-mu * sigma);
         double value = 0.0, weighted = 0.0;
@@ -171,14 +179,14 @@ static double root_of(const double c[IHC_COEFFICIENTS], double mu, double guess)
         if (!(value > 0.0 && value < INFINITY)) {
             return NAN;
         }
-        const double error = log(value) - 2.0 * sigma;
+        const double error = log(opaque(value)) - 2.0 * sigma;
         if (error > 0.0) {
             low = sigma;
         } else {
             high = sigma;
         }
         const double slope = 2.0 + mu * s * weighted / value;
-        const double step = slope > 0.0 ? error / slope : UNBOUNDED;
+        const double step = slope > 0.0 ? error / opaque(slope > 0.0 ? slope : 1.0) : UNBOUNDED;
         if (fabs(step) <= CONVERGED) {
             return exp(sigma + step);
         }
@@ -478,6 +486,25 @@ static void transpose(double M[N][N])
     }
 }
 
+/* row_z <- row Phi^-1 by iterative refinement: entries that should be 0 would otherwise outweigh fading gains. */
+static void refine(const ihc_params *p, double row_z[N])
+{
+    for (int k = 0; k < REFINEMENTS; k++) {
+        double residual[N][N] = {{0.0}};
+        for (int i = 0; i < N; i++) {
+            double sum = 0.0;
+            for (int j = 0; j < N; j++) {
+                sum += p->Phi[j][i] * row_z[j];
+            }
+            residual[i][0] = p->row[i] - sum;
+        }
+        solve_transposed(p, residual, 1);
+        for (int i = 0; i < N; i++) {
+            row_z[i] += residual[i][0];
+        }
+    }
+}
+
 /* kz, row_z and Pz = Phi^-T P Phi^-1. */
 static int to_chain(const ihc_params *p, ihc_prepared *q)
 {
@@ -501,7 +528,27 @@ static int to_chain(const ihc_params *p, ihc_prepared *q)
         q->kz[i] = gains[i][0];
         q->row_z[i] = gains[i][1];
     }
+    refine(p, q->row_z);
     return 1;
+}
+
+static int is_finite(const ihc_prepared *q)
+{
+    int finite = 1;
+    for (int i = 0; i < N; i++) {
+        finite = finite && isfinite(q->kz[i]) && isfinite(q->row_z[i]);
+        for (int j = 0; j < N; j++) {
+            finite = finite && isfinite(q->Pz[i][j]);
+        }
+    }
+    return finite;
+}
+
+/* Whether the determinant of the nominal inertia matrix upright, where it is smallest, is more than rounding. */
+static int is_regular(const ihc_params *p)
+{
+    const double diagonal = p->nominal_arm_inertia * p->nominal_pendulum_inertia;
+    return diagonal - p->nominal_coupling * p->nominal_coupling > 1e-9 * diagonal;
 }
 
 ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
@@ -509,8 +556,14 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
     if (!to_chain(p, q)) {
         return IHC_SINGULAR_PHI;
     }
+    if (!is_finite(q)) {
+        return IHC_CHAIN_NOT_FINITE;
+    }
     if (p->a_min > p->b_max) {
         return IHC_LIMITS;
+    }
+    if (!is_regular(p)) {
+        return IHC_SINGULAR_MODEL;
     }
     if (p->capture_angle > p->fall_back_angle) {
         return IHC_ANGLES;
@@ -576,9 +629,9 @@ static double unwrap(ihc_state *s, double measured)
 /* x for the law in force; advances the filter, and the observer where it is used. */
 static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const ihc_inputs *u, double x[N])
 {
-    const double delta = unwrap(s, u->delta);
+    const double delta = unwrap(s, u->delta); /* for those who differentiate; whole turns cost it small digits */
     x[0] = u->theta;
-    x[1] = wrap(delta);
+    x[1] = wrap(u->delta);
     if (p->velocity_source == IHC_VELOCITY_INPUTS) {
         x[2] = u->theta_dot;
         x[3] = u->delta_dot;

@@ -29,6 +29,8 @@ typedef enum {
     IHC_OK = 0,
     IHC_NEW_FAULT,            /* the step worked; the controller has just faulted, see the output `fault` */
     IHC_SINGULAR_PHI,         /* Phi is not regular */
+    IHC_CHAIN_NOT_FINITE,     /* Phi, P or the gains are beyond reason */
+    IHC_SINGULAR_MODEL,       /* the nominal inertia matrix is singular in rounding */
     IHC_LIMITS,               /* a_min exceeds b_max */
     IHC_ANGLES,               /* capture_angle exceeds fall_back_angle */
     IHC_KALMAN_TIME,          /* the Kalman filter's gain is for another sample time */

@@ -1,4 +1,5 @@
 /* The controller as a unit of the FMI adapter. */
+#include <math.h>
 #include <stdio.h>
 
 #include "fmu_unit.h"
@@ -46,7 +47,8 @@ static void explain_fault(const ihc_state *s, const ihc_inputs *u, char *text, s
     int length = 0;
     for (int i = 0; i < 4 && s->fault == IHC_FAULT_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
-            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %g", length ? ", " : "", names[i], values[i]);
+            const char *value = isnan(values[i]) ? "nan" : values[i] > 0.0 ? "inf" : "-inf"; /* on every platform */
+            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", names[i], value);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",
@@ -64,6 +66,15 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
         return FMU_WARNING;
     case IHC_SINGULAR_PHI:
         snprintf(text, size, "Phi must be regular, found a singular matrix");
+        break;
+    case IHC_CHAIN_NOT_FINITE:
+        snprintf(text, size, "Phi, P, k_lin and row must be of moderate size, found a chain form that is not finite");
+        break;
+    case IHC_SINGULAR_MODEL:
+        snprintf(text, size,
+                 "the square of nominal_coupling must be below nominal_arm_inertia times nominal_pendulum_inertia, found "
+                 "%g, %g and %g kg.m2",
+                 p->nominal_coupling, p->nominal_arm_inertia, p->nominal_pendulum_inertia);
         break;
     case IHC_LIMITS:
         snprintf(text, size, "a_min must not exceed b_max, found a_min = %g and b_max = %g", p->a_min, p->b_max);

@@ -5,6 +5,7 @@
 static const double PI = 3.14159265358979323846;
 static const double FRICTION_SPEED = 0.05; /* v_s: at this speed dry friction is half of T_r [rad/s] */
 static const double STEPS_PER_TIME_CONSTANT = 2.0;
+static const double LEAST = 0x1p-300; /* smaller states, voltages and torques count as 0: see integrator.LEAST */
 
 qube_coefficients qube_lump(const qube_params *p)
 {
@@ -108,11 +109,9 @@ static double next_gaussian(uint64_t *state)
 /* What an encoder reports: r floor(angle/r + offset), r = 2 pi/counts. */
 static double quantize(double angle, int counts, double offset)
 {
-    if (counts == 0) {
-        return angle;
-    }
-    const double resolution = 2.0 * PI / counts;
-    return resolution * floor(angle / resolution + offset);
+    volatile const int divisor = counts > 0 ? counts : 1; /* compilers compute a quotient before they know its use */
+    const double resolution = 2.0 * PI / divisor;
+    return counts > 0 ? resolution * floor(angle / resolution + offset) : angle;
 }
 
 static double measure(const qube_params *p, uint64_t *random_state, double angle, double offset)
@@ -136,18 +135,20 @@ static void append_measurement(const qube_params *p, qube_state *s)
     s->count++;
 }
 
-static int admissible(const qube_params *p)
+/* Whether the determinant of the inertia matrix upright, where it is smallest, is more than rounding. */
+static int is_regular(const qube_coefficients *c)
 {
-    return p->m_p > 0.0 && p->L_p > 0.0 && p->J_p > 0.0 && p->D_p >= 0.0 && p->L_r > 0.0 && p->J_r > 0.0 && p->D_r >= 0.0
-        && p->T_r >= 0.0 && p->g_p > 0.0 && p->R_m > 0.0 && p->k_m > 0.0 && p->L_m > 0.0;
+    const double diagonal = c->J_11 * c->J_22;
+    return diagonal - c->varpi_2 * c->varpi_2 > 1e-9 * diagonal;
 }
 
 qube_status qube_initialize(const qube_params *p, qube_state *s)
 {
     static const qube_state zero;
+    const qube_coefficients c = qube_lump(p);
     qube_outputs y;
-    if (!admissible(p)) {
-        return QUBE_NOT_POSITIVE;
+    if (!is_regular(&c)) {
+        return QUBE_SINGULAR;
     }
     *s = zero;
     s->x[0] = p->theta_0;
@@ -170,7 +171,7 @@ static qube_status count_delay(const qube_params *p, double step, int32_t *delay
     if (ratio > (double)QUBE_MAX_DELAY + 0.5) {
         return QUBE_DELAY_TOO_LONG;
     }
-    *delay_steps = (int32_t)nearbyint(ratio);
+    *delay_steps = (int32_t)nearbyint(fmin(ratio, (double)QUBE_MAX_DELAY + 1.0));
     return fabs(ratio - *delay_steps) > 1e-6 ? QUBE_DELAY_NOT_MULTIPLE : QUBE_OK;
 }
 
@@ -178,6 +179,11 @@ static double clamp(double value, double limit)
 {
     const double low = value > -limit ? value : -limit;
     return low < limit ? low : limit;
+}
+
+static double flushed(double value)
+{
+    return fabs(value) > 0.0 && fabs(value) < LEAST ? 0.0 : value;
 }
 
 /* One classical Runge-Kutta step of length h. */
@@ -234,14 +240,16 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
             return status;
         }
     }
-    const double voltage = clamp(u->voltage + u->disturbance_voltage, p->voltage_limit);
+    const double voltage = flushed(clamp(u->voltage + u->disturbance_voltage, p->voltage_limit));
+    const double tau_p = flushed(u->pendulum_torque);
     const double h = step / count;
+    const int steps = (int)fmin(count, (double)QUBE_MAX_SUBSTEPS);
     double x[QUBE_STATES], sum = 0.0;
     for (int i = 0; i < QUBE_STATES; i++) {
         x[i] = s->x[i];
     }
-    for (int i = 0; i < (int)count; i++) {
-        rk4_step(p, &c, x, voltage, u->pendulum_torque, h);
+    for (int i = 0; i < steps; i++) {
+        rk4_step(p, &c, x, voltage, tau_p, h);
     }
     for (int i = 0; i < QUBE_STATES; i++) {
         sum += x[i] * x[i]; /* as in the energy */
@@ -250,10 +258,10 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
         return QUBE_DIVERGED;
     }
     for (int i = 0; i < QUBE_STATES; i++) {
-        s->x[i] = x[i];
+        s->x[i] = flushed(x[i]);
     }
     s->applied_voltage = voltage;
-    s->applied_torque = u->pendulum_torque;
+    s->applied_torque = tau_p;
     if (p->measurement_delay != 0.0) {
         s->delay_steps = delay_steps;
         s->delayed_step = step;
@@ -292,8 +300,8 @@ qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
     if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
         return QUBE_INPUT_NOT_FINITE;
     }
-    s->applied_voltage = clamp(u->voltage + u->disturbance_voltage, p->voltage_limit);
-    s->applied_torque = u->pendulum_torque;
+    s->applied_voltage = flushed(clamp(u->voltage + u->disturbance_voltage, p->voltage_limit));
+    s->applied_torque = flushed(u->pendulum_torque);
     entry[0] = quantize(s->x[0], p->encoder_counts, p->theta_encoder_offset);
     entry[1] = quantize(s->x[1], p->encoder_counts, p->delta_encoder_offset);
     return QUBE_OK;

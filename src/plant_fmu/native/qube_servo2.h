@@ -20,7 +20,7 @@ enum { QUBE_MOTOR_STATIC = 1, QUBE_MOTOR_INDUCTANCE = 2 };
 typedef enum {
     QUBE_OK = 0,
     QUBE_OUTPUT_NOT_FINITE,  /* the start values give an output that is not finite */
-    QUBE_NOT_POSITIVE,       /* a physical constant that must be positive is not */
+    QUBE_SINGULAR,           /* the inertia matrix is singular in rounding */
     QUBE_INPUT_NOT_FINITE,   /* a NaN or an infinity among the inputs */
     QUBE_DELAY_NOT_MULTIPLE, /* measurement_delay is no multiple of the communication step */
     QUBE_DELAY_TOO_LONG,     /* measurement_delay is more than QUBE_MAX_DELAY communication steps */
@@ -118,7 +118,7 @@ void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[Q
 /* q'J(q)q'/2 + m_p g_p L_p (cos delta - 1)/2 [J] */
 double qube_energy(const qube_coefficients *c, double delta, double theta_dot, double delta_dot);
 
-/* Set the initial state; QUBE_NOT_POSITIVE for constants that eq. (5) does not admit, QUBE_OUTPUT_NOT_FINITE for numbers
+/* Set the initial state; QUBE_SINGULAR for constants that eq. (5) does not admit, QUBE_OUTPUT_NOT_FINITE for numbers
  * beyond reason. */
 qube_status qube_initialize(const qube_params *p, qube_state *s);
 

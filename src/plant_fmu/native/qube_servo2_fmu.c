@@ -78,22 +78,6 @@ static const char *objection(const void *parameters)
     return NULL;
 }
 
-/* The first physical constant that is not positive. */
-static const char *not_positive(const qube_params *p)
-{
-    const char *const names[] = {"m_p", "L_p", "J_p", "L_r", "J_r", "g_p", "R_m", "k_m", "L_m"};
-    const double values[] = {p->m_p, p->L_p, p->J_p, p->L_r, p->J_r, p->g_p, p->R_m, p->k_m, p->L_m};
-    for (int i = 0; i < 9; i++) {
-        if (!(values[i] > 0.0)) {
-            return names[i];
-        }
-    }
-    if (!(p->D_p >= 0.0)) {
-        return "D_p";
-    }
-    return p->D_r >= 0.0 ? "T_r" : "D_r";
-}
-
 static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,
                                char *text, size_t size)
 {
@@ -105,8 +89,11 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
         snprintf(text, size, "start values must give finite outputs, found x = (%g, %g, %g, %g)", p->theta_0, p->delta_0,
                  p->theta_dot_0, p->delta_dot_0);
         break;
-    case QUBE_NOT_POSITIVE:
-        snprintf(text, size, "%s must be positive, found 0", not_positive(p));
+    case QUBE_SINGULAR:
+        snprintf(text, size,
+                 "J_p and J_r must not vanish beside the pendulum's mass, found J_p = %g kg.m2, J_r = %g kg.m2 and m_p = "
+                 "%g kg",
+                 p->J_p, p->J_r, p->m_p);
         break;
     case QUBE_INPUT_NOT_FINITE:
         snprintf(text, size,
