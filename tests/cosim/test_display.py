@@ -44,7 +44,7 @@ def test_a_comparison_shows_every_number_at_every_width(shown, width):
     rows = [*display.comparison_rows(comparison), *display.change_rows(comparison)]
     assert {cell for row in rows for cell in row} <= cells_of(text)
     assert len(rows) == 2 * len(SHOWN)
-    assert ("settling [s]\n  LC" in text) == (width < 60)
+    assert ("settling [s]\n  LC" in text) == (width <= 60)
 
 
 @pytest.mark.parametrize("width", WIDTHS)
