@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from fmu_export.ownership import check_replaceable
 
 from .display import (
     console,
@@ -19,6 +22,7 @@ from .display import (
     print_metrics,
     print_results,
     print_tuning,
+    problems,
     progress,
     say_error,
     say_notes,
@@ -26,7 +30,7 @@ from .display import (
     warn_of_messages,
 )
 from .errors import Interrupted, SimulationError, UserError
-from .export import Kind, Smc, export_units
+from .export import EXPORTED, Kind, Smc, export_units
 from .hil import commands as hil_commands
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
 from .toml_files import read_toml
@@ -108,19 +112,32 @@ def design(
     """
     from ihc_fmu.design import InfeasibleError, Options, direct_design, inverse_design, largest_alpha
 
+    if output.suffix != ".json":
+        raise UserError(f"--output must name a .json file, found {output}")
+    check_replaceable(output)
     A, b, k_lin = _read_system(system, need_gain=method is Method.inverse)
     if u_max is None and delta_max is None:
         u_max = 1.5
     options = Options(mu=mu, alpha=alpha, u_max=u_max, delta_max=delta_max, beta=beta, psi=psi, d_max=d_max)
-    try:
-        found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
-    except InfeasibleError as error:
-        if method is Method.direct or psi or d_max:
-            raise
-        raise UserError(f"{error}; the largest feasible alpha is {largest_alpha(A, b, k_lin, mu):.4g} 1/s") from None
-    found.save(output)
-    print_design(found)
-    console.print(f"largest feasible alpha for this k_lin and mu: {largest_alpha(A, b, found.k_lin, mu):.4g} 1/s")
+    with problems.status("solving the matrix inequalities") as shown:
+
+        def limit(gain: Any) -> str:
+            say = "largest feasible alpha: between {:.4g} and {:.4g} 1/s"
+            try:
+                found = largest_alpha(A, b, gain, mu, progress=lambda low, high: shown.update(say.format(low, high)))
+            except InfeasibleError as error:
+                return f"not found: {error}"
+            return f"{found:.4g} 1/s"
+
+        try:
+            found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
+        except InfeasibleError as error:
+            if method is Method.direct or psi or d_max:
+                raise
+            raise UserError(f"{error}; the largest feasible alpha is {limit(k_lin)}") from None
+        found.save(output)
+        print_design(found)
+        console.print(f"largest feasible alpha for this k_lin and mu: {limit(found.k_lin)}")
     console.print(f"wrote {output}")
 
 
@@ -197,6 +214,7 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
+    check_replaceable(*(output / name for name in EXPORTED))
     with console.status("building") if names else nullcontext():
         paths = export_units(found, parameters, nominal, output, changes, smc, kind, names, other_model=other_model)
     for path in paths:
@@ -240,6 +258,10 @@ def run(
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
+    partial = path.with_suffix(".partial.csv")  # an earlier complete result stays
+    check_replaceable(*(file.with_suffix(suffix) for file in (path, partial) for suffix in (".csv", ".json")))
+    if plot:
+        check_replaceable(path.with_suffix(".png"))
     say_notes(remarks(build_system(chosen, fmus, folder)))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
@@ -249,7 +271,6 @@ def run(
             )
         except (SimulationError, Interrupted) as stopped:
             if len(stopped.result.time):
-                partial = path.with_suffix(".partial.csv")  # an earlier complete result stays
                 stopped.result.save(partial)
                 bar.console.print(f"wrote what was recorded until then, {len(stopped.result.time)} rows, to {partial}")
             raise
@@ -298,7 +319,16 @@ def compare(
     chosen, folder = load_scenario(scenario[0])
     chosen = chosen.changed(dict(assignments(change)))
     say_notes(remarks(build_system(chosen, fmus, folder)))
+    _check_folder(output / chosen.name, chosen_laws)
     _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
+
+
+def _check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
+    """Raise UserError where a comparison in `folder` would replace a file that is not this project's."""
+    from .plots import COMPARISON
+
+    files = [f"{name}{suffix}" for name in (*laws, "comparison") for suffix in (".csv", ".json")] if laws else []
+    check_replaceable(*(folder / name for name in (*files, *(f"{name}.png" for name in COMPARISON))))
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
@@ -310,6 +340,7 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
     if len(set(names)) < len(names):
         raise UserError(f"results to compare must be different files, found {', '.join(map(str, paths))}")
     results = {name: Result.load(path) for name, path in zip(names, paths, strict=True)}
+    _check_folder(folder)
     print_results(results)
     save_comparison(results, folder, ", ".join(names))
     console.print(f"pictures in {folder}")
@@ -369,7 +400,7 @@ def tune(
 
     from .campaign import Journal
     from .scenario import load_scenario
-    from .tuning import PURPOSE, Grid, Problem, save
+    from .tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from .tuning import tune as run_tuning
 
     chosen, folder = load_scenario(scenario)
@@ -382,6 +413,7 @@ def tune(
     found = default_design() if design is None else _load_design(design)
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
+    check_replaceable(*(target / name for name in WRITTEN_FILES))
     with Journal(target / "runs.jsonl", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)
@@ -425,6 +457,7 @@ def paper(
     size = QUICK if quick else FULL
     if draws is not None:
         size = replace(size, draws=draws)
+    check_replaceable(output / "report.html")
     if fmus is None:
         fmus = output / "fmus"
         export_units(default_design(), output=fmus)
@@ -449,6 +482,9 @@ def demo(
     from .experiments import LAWS, Study
     from .scenario import load_scenario
 
+    check_replaceable(output / "design.json", *(fmus / name for name in EXPORTED))
+    for name in DEMO:
+        _check_folder(output / name, LAWS)
     console.print("1. design: the paper's A, b and k_lin, inverse design")
     found = default_design()
     found.save(output / "design.json")

@@ -20,6 +20,8 @@ from .scenario import Scenario, build_system
 
 LAWS = ("LC", "SMC", "IHC")
 
+FORMAT = "qube-ihc comparison 1"
+
 
 @dataclass(frozen=True)
 class Draw:
@@ -63,6 +65,7 @@ class Comparison:
         laws = list(self.results)
         medians = {law: {n: _json_number(self.median(law, n)) for n in NAMES} for law in laws}
         about = {
+            "format": FORMAT,
             "scenario": self.scenario.model_dump(mode="json"),
             "draws": len(self.draws) // len(laws),
             "median": medians,

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fmu_export.files import write_file
+from fmu_export.ownership import SOFTWARE
 
 from .metrics import angle_norm, wrapped
 from .results import Result
@@ -20,6 +21,10 @@ from .results import Result
 COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837"}
 MODE_COLOURS = {1: "#dddddd", 2: "#fdd49e", 3: "#c7e9c0", 4: "#fb6a4a"}
 MODE_NAMES = {1: "idle", 2: "swing-up", 3: "stabilizing", 4: "fault"}
+
+
+COMPARISON = ("angles", "norm", "voltage", "homogeneous_norm")
+"""The pictures of `save_comparison`."""
 
 
 def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> list[Path]:
@@ -59,7 +64,7 @@ def save_figure(figure: Figure, path: Path, title: str) -> Path:
     figure.suptitle(title, fontsize="medium")
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
     write_file(path, buffer.getvalue())
     return path
 

@@ -34,6 +34,9 @@ MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_var
 
 CHATTERING = "voltage_variation"
 
+WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
+"""What `save` writes."""
+
 PURPOSE = "tuning: numbers 1"
 """Named in the journal; to be changed with `numbers`."""
 
@@ -246,7 +249,7 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
         "square: where the rule stops; triangle: there with b_max raised"
     )
     save_figure(_landscape(tuning), folder / "landscape.png", title)
-    return [folder / name for name in ("tuning.csv", "landscape.png", "best.toml", "best.json")]
+    return [folder / name for name in WRITTEN_FILES]
 
 
 def _landscape(tuning: Tuning) -> Figure:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmu_export.ownership import check_replaceable
 from fmu_export.variables import did_you_mean
 
 from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes
@@ -303,6 +304,8 @@ def device(
     chosen, folder = load_scenario(scenario)
     _, plant = build_system(chosen.changed(dict(assignments(change))), fmus, folder).components
     board = Board(plant, parse(faults))
+    if record is not None:
+        check_replaceable(record)
 
     def say(text: str) -> None:
         console.print(escaped(text), soft_wrap=True)
@@ -355,13 +358,16 @@ def overlay(
     ] = None,
 ) -> None:
     """Re-simulate a run from where its log begins and lay the simulation over the hardware: pictures, metrics."""
-    from ..plots import save_comparison
+    from ..plots import COMPARISON, save_comparison
     from ..results import Result
     from .overlay import as_seen, differences, resimulate
 
     result = Result.load(run)
     about = result.metadata.get("scenario", {}).get("plant", {})
     chosen = parameters or about.get("parameters") or "ident"
+    folder = output or run.with_name(f"{run.stem}_overlay")
+    pictures = (f"{name}.png" for name in COMPARISON)
+    check_replaceable(*(folder / name for name in ("simulation.csv", "simulation.json", *pictures)))
     plant = fmus / Path(about.get("fmu", "QubeServo2.fmu")).name
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
@@ -372,7 +378,6 @@ def overlay(
             begin,
             lambda done, total: bar.update(task, completed=done, total=total),
         )
-    folder = output or run.with_name(f"{run.stem}_overlay")
     simulated.save(folder / "simulation.csv")
     both = {"device": measured, "simulation": as_seen(simulated, measured)}
     save_comparison(both, folder, f"{run.name} and its simulation with {chosen}")
@@ -408,6 +413,8 @@ def identify(
 
     result = Result.load(run)
     start = parameter_files.chosen(parameters)
+    path = output or run.with_name(f"{run.stem}_parameters.toml")
+    check_replaceable(path)
     with console.status("identification") as shown:
         found = run_identify(
             result,
@@ -415,7 +422,6 @@ def identify(
             tuple(name.strip() for name in names.split(",")),
             progress=lambda trials, rms: shown.update(f"trial {trials}: residual {rms:.3g} rad"),
         )
-    path = output or run.with_name(f"{run.stem}_parameters.toml")
     parameter_files.save(path, found.parameters)
     table = Table(title=f"{run.name}: parameters and 95 % confidence intervals", title_justify="left")
     for heading in ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO
 
 from .errors import UserError
+from .ownership import check_replaceable
 
 
 @contextmanager
@@ -18,12 +19,13 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
     It is on the disk before it gets its name, so that neither a crash nor a full disk leaves half a file, and an earlier
     file of that name stays until then. Folders on the way are made. Raises UserError that names `path` where it cannot be
-    written.
+    written, or is a file that this project did not write.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise UserError(f"{path} cannot be written: it is a folder")
+        check_replaceable(path)
         beside = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}.tmp")
         try:
             with beside.open("xb") as file:

@@ -57,7 +57,9 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
     if not 0.0 < h < np.inf:
         raise UserError(f"the sample time must be positive and finite, found {h} s")
     if not (np.isfinite(A).all() and np.isfinite(b).all()):
-        raise UserError("there is no Kalman filter for this nominal model: its inertias must have a positive determinant")
+        raise UserError(
+            "there is no Kalman filter for this nominal model: its inertias must have a positive determinant"
+        )
     o = options or KalmanOptions()
     F = np.zeros((6, 6))
     F[:4, :4], F[:4, 4], F[5, 5] = A, b, -BIAS_DECAY
@@ -71,5 +73,7 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
     try:
         covariance = solve_discrete_are(transition.T, C.T, transition @ block[:6, 6:], R)
     except np.linalg.LinAlgError:
-        raise UserError("there is no Kalman filter for this nominal model: its Riccati equation has no solution") from None
+        raise UserError(
+            "there is no Kalman filter for this nominal model: its Riccati equation has no solution"
+        ) from None
     return np.linalg.solve(C @ covariance @ C.T + R, C @ covariance).T

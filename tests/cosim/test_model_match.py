@@ -70,7 +70,10 @@ DEGREE = 180.0 / np.pi
 @pytest.mark.parametrize(
     ("model", "expected"),
     [
-        (changed(order=(0, 2, 1, 3)), "its states are in the order theta, theta_dot, delta, delta_dot, not theta, delta,"),
+        (
+            changed(order=(0, 2, 1, 3)),
+            "its states are in the order theta, theta_dot, delta, delta_dot, not theta, delta,",
+        ),
         (changed(order=(1, 0, 3, 2)), "its states are in the order delta, theta, delta_dot, theta_dot, not"),
         (changed(order=(2, 3, 0, 1)), "its states are in the order theta_dot, delta_dot, theta, delta, not"),
         (changed(scale=[DEGREE] * 4), "theta, delta, theta_dot, delta_dot are in degrees instead of rad"),

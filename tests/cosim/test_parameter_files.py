@@ -16,7 +16,11 @@ from plant_fmu.parameters import PARAMETER_SETS, ParameterSet
 
 IDENT = PARAMETER_SETS["ident"]
 MINE = ParameterSet(
-    "mine", replace(IDENT.parameters, D_r=(0.1 + 0.2) * 1e-3, T_r=1e-4 / 3), 'measured, "twice"\non Monday', "", back_emf=False
+    "mine",
+    replace(IDENT.parameters, D_r=(0.1 + 0.2) * 1e-3, T_r=1e-4 / 3),
+    'measured, "twice"\non Monday',
+    "",
+    back_emf=False,
 )
 
 
