@@ -55,6 +55,8 @@ FIRST_GUESS = 0.03
 """What the first guess of the initial states looks at [s]."""
 CONVERGED = 1e-6
 """The initial states are found when a step would lower each segment's sum of squares by less than this share of it."""
+BIAS_FOUND = 1e-3
+"""Step of the bias below which it is found, in its scale."""
 MOST_STEPS = 20
 """Gauss-Newton steps for the initial states."""
 TOLERANCE = 1e-5
@@ -176,6 +178,45 @@ def identify(
     )
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """What a log shows of its measurement and its first moment, with the plant known.
+
+    bias [rad]: constant error of the measured delta. state: theta, delta [rad], theta', delta' [rad/s] at the first row,
+    theta as measured on average. rms [rad]: RMS of the residuals of both angles; counting alone leaves a count over the
+    square root of 12.
+    """
+
+    bias: float
+    state: tuple[float, float, float, float]
+    rms: float
+
+
+def beginning(result: Result, plant: ParameterSet, segment: float = 0.25) -> Beginning:
+    """Return the bias and the first state that fit a log best, the plant's numbers given.
+
+    Segments are as in `identify`, shorter where the log has no four of them. Raises UserError for a log that is too
+    short, lacks signals, is not finite, has a gap at its beginning or cannot be simulated.
+    """
+    span = float(result.time[-1] - result.time[0]) if len(result.time) else 0.0
+    log = _read(result, min(segment, span / (LEAST_SEGMENTS + 1)), least_motion=0.0)
+    if log.begins[0] != 0:
+        raise UserError("the log must be without a long gap at its beginning")
+    problem = _Problem(log, plant, ())
+    z = np.zeros(1)
+    for _ in range(MOST_STEPS):
+        r, by_bias = problem.residuals(z), problem.jacobian(z)[:, 0] if problem.solved else np.zeros(1)
+        if not np.all(np.isfinite(r)):
+            raise UserError(f"the log cannot be simulated with the set {plant.name}; is it the log of this plant?")
+        step = -float(by_bias @ r) / float(by_bias @ by_bias)
+        z = z + step
+        if abs(step) < BIAS_FOUND:
+            break
+    r = problem.residuals(z)
+    theta, delta, theta_dot, delta_dot = problem.states[:, 0].tolist()
+    return Beginning(float(z[0] * problem.scales[0]), (theta, delta, theta_dot, delta_dot), problem.rms(r))
+
+
 def _check_names(names: Sequence[str]) -> None:
     known = [f.name for f in fields(QubeParameters)]
     for name in names:
@@ -200,16 +241,17 @@ class _Log:
     """S segments of n points on a grid of the log's period [s].
 
     angles [rad] of shape (n, 2, S), 0 where `seen`, of shape (n, S), says that the log has no row; voltage [V] of shape
-    (n - 1, S), held from each point to the next.
+    (n - 1, S), held from each point to the next; begins, of shape (S,): the segments' first points in the log.
     """
 
     period: float
     angles: Array
     seen: Array
     voltage: Array
+    begins: Array
 
 
-def _read(result: Result, segment: float) -> _Log:
+def _read(result: Result, segment: float, least_motion: float = LEAST_MOTION) -> _Log:
     """Return the log cut into segments of `segment` [s]; a rest at the end, and segments that are mostly gaps, are left out.
 
     A row after a gap has the voltage of all the time since the row before it.
@@ -229,12 +271,13 @@ def _read(result: Result, segment: float) -> _Log:
             f"{np.count_nonzero(used)}"
         )
     motion = np.max(np.ptp(angles, axis=0))
-    if motion < LEAST_MOTION:
-        raise UserError(f"an angle must move by {LEAST_MOTION:g} rad, or nothing is to be seen, found {motion:.3g} rad")
+    if motion < least_motion:
+        raise UserError(f"an angle must move by {least_motion:g} rad, or nothing is to be seen, found {motion:.3g} rad")
     row = np.searchsorted(points, np.arange(count * n))  # at the point, or the first after it
     at = np.where(seen[..., None], angles[row].reshape(count, n, 2), 0.0)
     held = voltage[row].reshape(count, n)
-    return _Log(period, at[used].transpose(1, 2, 0), seen[used].T, held[used, 1:].T)
+    begins = n * np.flatnonzero(used)
+    return _Log(period, at[used].transpose(1, 2, 0), seen[used].T, held[used, 1:].T, begins)
 
 
 def _signals(result: Result) -> tuple[Array, Array]:
