@@ -416,6 +416,7 @@ def identify(
 
     from .. import parameter_files
     from ..results import Result
+    from .identify import LIKE_VOLTAGE
     from .identify import identify as run_identify
     from .scaling import RESOLUTION
 
@@ -440,6 +441,14 @@ def identify(
         table.add_row(name, *(f"{number:.4g}" for number in numbers), units[name])
     console.print(table)
     unknown = [name for name, e in found.estimates.items() if not e.identifiable]
+    if found.disturbed:
+        p = found.parameters.parameters
+        problems.print(
+            f"[yellow]note:[/] the residuals show a disturbance that the model lacks, like {found.disturbance:.2g} V RMS at "
+            f"the motor, {found.disturbance * p.k_m / p.R_m:.2g} N.m: the arm's damping and friction cannot be told from "
+            "it, whatever their intervals say"
+        )
+        unknown = [name for name in unknown if name not in LIKE_VOLTAGE]
     if unknown:
         problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
     console.print(
