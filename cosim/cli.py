@@ -332,6 +332,7 @@ def _check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
+    from .hil.overlay import alike
     from .plots import save_comparison
     from .results import Result
 
@@ -339,7 +340,7 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
     names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
     if len(set(names)) < len(names):
         raise UserError(f"results to compare must be different files, found {', '.join(map(str, paths))}")
-    results = {name: Result.load(path) for name, path in zip(names, paths, strict=True)}
+    results = alike({name: Result.load(path) for name, path in zip(names, paths, strict=True)})
     _check_folder(folder)
     print_results(results)
     save_comparison(results, folder, ", ".join(names))

@@ -113,6 +113,21 @@ def as_seen(simulated: Result, measured: Result) -> Result:
     return Result(simulated.time, shared, {name: simulated.units[name] for name in shared}, simulated.metadata)
 
 
+def alike(results: Mapping[str, Result]) -> dict[str, Result]:
+    """Return the results with what all can be judged by: where one has no true angles, none has."""
+    true = {"plant.theta", "plant.delta"}
+    if all(true <= result.signals.keys() for result in results.values()):
+        return dict(results)
+
+    def seen(result: Result) -> Result:
+        kept = {
+            n: signal for n, signal in result.signals.items() if n not in true or f"{n}_encoder" not in result.signals
+        }
+        return Result(result.time, kept, {n: result.units[n] for n in kept}, result.metadata)
+
+    return {name: seen(result) for name, result in results.items()}
+
+
 def _end(result: Result) -> float:
     return float(result.time[-1]) if len(result.time) else 0.0
 

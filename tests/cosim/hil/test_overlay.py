@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
-from cosim.hil.overlay import as_seen, differences, resimulate
+from cosim.hil.overlay import alike, as_seen, differences, resimulate
 from cosim.hil.scaling import RESOLUTION
 from cosim.metrics import angle_norm
 from cosim.results import Result
@@ -130,6 +130,8 @@ def test_a_simulation_is_compared_as_an_encoder_sees_it(made_result):
     log = made_result([0.0, 1.0], **angles)
     for name in ("plant.theta", "plant.delta"):
         del log.signals[name]
+    assert list(alike({"simulation": simulated, "log": log})["simulation"].signals) == list(log.signals)
+    assert alike({"a": simulated, "b": simulated})["b"] is simulated
     seen = as_seen(simulated, log)
     assert list(seen.signals) == [name for name in simulated.signals if name not in ("plant.theta", "plant.delta")]
     assert angle_norm(seen)[0] == pytest.approx(math.hypot(0.1, -0.2), rel=1e-12)
