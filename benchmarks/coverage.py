@@ -20,7 +20,7 @@ from cosim.scenario import load_scenario, run_scenario
 from ihc_fmu.start_values import default_design
 from plant_fmu.parameters import PARAMETER_SETS
 
-NAMES = ("D_r", "D_p", "T_r")
+NAMES: tuple[str, ...] = ("D_r", "D_p", "T_r")
 SIGNALS = ("plant.theta_encoder", "plant.delta_encoder", "controller.voltage")
 
 
