@@ -21,16 +21,30 @@ import fmpy.fmi1
 import fmpy.fmi2
 from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelDescription, ScalarVariable
+from lxml import etree
 
+from fmu_export.errors import shown
 from fmu_export.variables import did_you_mean
 
+from .archives import unpack
 from .errors import UserError
 
-Value = float | int | bool
+Value = float | int | bool | str
 
 _STATUS = ("OK", "warning", "discard", "error", "fatal", "pending")
+_GOOD = (0, 1)
 _FATAL = 4
 _MESSAGES_KEPT = 200
+_MESSAGE_LENGTH = 10_000
+
+RECORDED = ("Real", "Integer", "Boolean", "Enumeration")
+"""Types of the variables that can be wired and recorded; String is the other."""
+
+
+def status_text(status: int) -> str:
+    """Return an fmi2Status in words, or its number where FMI has none of that number."""
+    return _STATUS[status] if 0 <= status < len(_STATUS) else f"the status {status}, which FMI does not know"
+
 
 _loading = threading.Lock()
 """FMPy changes the process's folder while it loads a library."""
@@ -48,10 +62,11 @@ _instances: WeakValueDictionary[int, Instance] = WeakValueDictionary()
 """Instances by the environment pointer that their FMUs hand back with each message."""
 
 
-def _log(environment: int, name: bytes, status: int, category: bytes | None, message: bytes) -> None:
+def _log(environment: int, name: bytes, status: int, category: bytes | None, message: bytes | None) -> None:
     instance = _instances.get(environment)
     if instance is not None and len(instance.messages) < _MESSAGES_KEPT:
-        instance.messages.append(f"{_STATUS[status]}: {message.decode('utf-8', 'replace').strip()}")
+        text = (message or b"")[:_MESSAGE_LENGTH].decode("utf-8", "replace").strip()
+        instance.messages.append(f"{status_text(status)}: {text}")
 
 
 # FMPy's proxy, which formats C's variadic messages, knows one Python logger per process: this one, kept for ever.
@@ -64,6 +79,16 @@ class FmuError(RuntimeError):
     """An FMI call failed; the message holds instance, call, status and what the FMU logged."""
 
 
+class FMU2Strict(fmpy.fmi2.FMU2Slave):
+    """FMPy's slave, for which every status but OK and warning is a failure; FMPy lets negative ones pass."""
+
+    def _call(self, fname: str, *args: Any) -> Any:
+        result = super()._call(fname, *args)
+        if self._functions[fname].restype is ctypes.c_int and result not in _GOOD:
+            raise fmpy.fmi1.FMICallException(fname, result)
+        return result
+
+
 def describe(path: Path) -> tuple[str, ModelDescription]:
     """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
 
@@ -71,8 +96,10 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     """
     try:
         status = path.stat()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
+    except OSError as error:
+        raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
         if key not in _unpacked:
@@ -99,16 +126,47 @@ def _unpack(path: Path) -> tuple[str, ModelDescription]:
     folder = tempfile.mkdtemp(prefix="qube-ihc-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     try:
-        description = fmpy.read_model_description(str(path))
-        fmpy.extract(str(path), unzipdir=folder)
-    except Exception as error:  # FMPy raises bare exceptions of many kinds
-        raise UserError(f"{path} is not a valid FMU: {error}") from None
-    if description.fmiVersion != "2.0" or description.coSimulation is None:
-        raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
+        unpack(path, Path(folder))
+        description = _description(path, Path(folder))
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
     escapes = "%" in Path(folder).as_uri().replace("%20", "")
+    assert description.coSimulation is not None
     if description.coSimulation.needsExecutionTool and escapes:  # PythonFMU's wrapper cannot read them
         raise UserError(f"the temporary folder (TMPDIR) must be named in plain letters for Python FMUs, found {folder}")
     return folder, description
+
+
+def _description(path: Path, folder: Path) -> ModelDescription:
+    """Return the description in `folder`; raise UserError for one that is not that of an FMI 2.0 co-simulation FMU."""
+    file = folder / "modelDescription.xml"
+    if not file.is_file():
+        raise UserError(f"{path} is not a valid FMU: it has no modelDescription.xml")
+    try:
+        if etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).docinfo.doctype:
+            raise UserError(f"{path} is not a valid FMU: a model description has no document type")
+        description = fmpy.read_model_description(str(folder))
+    except UserError:
+        raise
+    except Exception as error:  # FMPy raises bare exceptions of many kinds
+        raise UserError(f"{path} is not a valid FMU: {_first_line(error)}") from None
+    if description.fmiVersion != "2.0" or description.coSimulation is None:
+        raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
+    identifier = description.coSimulation.modelIdentifier or ""
+    if not (identifier.isascii() and identifier.isidentifier()):  # a file's name: a path would load another library
+        raise UserError(f"{path} must have a C identifier as modelIdentifier, found {shown(identifier)}")
+    return description
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
+
+
+def forget_unpacked() -> None:
+    """Remove the folders of all unpacked FMUs: for a process that ends without leaving in the usual way."""
+    for folder, _ in _unpacked.values():
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def as_value(variable: ScalarVariable, value: Value | str) -> Value:
@@ -123,18 +181,24 @@ def as_value(variable: ScalarVariable, value: Value | str) -> Value:
         if value in items:
             return items[str(value)]
         if isinstance(value, bool) or value not in items.values():
-            raise UserError(f"{name} must be one of {', '.join(items)}, found {value!r}")
+            raise UserError(f"{name} must be one of {', '.join(items)}, found {shown(value)}")
         return int(value)
     if kind == "Boolean":
         if not isinstance(value, bool):
-            raise UserError(f"{name} must be true or false, found {value!r}")
+            raise UserError(f"{name} must be true or false, found {shown(value)}")
+        return value
+    if kind == "String":
+        if not isinstance(value, str) or "\0" in value:
+            raise UserError(f"{name} must be a text, found {shown(value)}")
         return value
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UserError(f"{name} must be a number, found {value!r}")
+        raise UserError(f"{name} must be a number, found {shown(value)}")
+    if isinstance(value, int) and value.bit_length() > 1000:
+        raise UserError(f"{name} must be a number of moderate size, found {shown(value)}")
     if not math.isfinite(value):
         raise UserError(f"{name} must be finite, found {value}")
     if kind == "Integer" and (value != int(value) or not -(2**31) <= value < 2**31):
-        raise UserError(f"{name} must be an integer of 32 bits, found {value!r}")
+        raise UserError(f"{name} must be an integer of 32 bits, found {shown(value)}")
     low = -math.inf if variable.min is None else float(variable.min)
     high = math.inf if variable.max is None else float(variable.max)
     if not low <= value <= high:
@@ -194,14 +258,23 @@ class Instance:
                 raise UserError(f"{self.name}.{error}") from None
         return checked
 
-    def start(self, start: Mapping[str, Value], start_time: float, stop_time: float) -> None:
-        """Instantiate and set the start values, up to initialization mode."""
+    def outputs(self) -> list[ScalarVariable]:
+        """Return the outputs that can be recorded."""
+        return [v for v in self.variables.values() if v.causality == "output" and v.type in RECORDED]
+
+    def texts(self) -> list[str]:
+        """Return the names of the String outputs, which cannot be recorded."""
+        return [v.name for v in self.variables.values() if v.causality == "output" and v.type not in RECORDED]
+
+    def start(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None:
+        """Instantiate and set the start values, up to initialization mode; None: no stop time."""
         self._instantiate()
         fmu = self._fmu
         self._call("setupExperiment", fmu.setupExperiment, startTime=start_time, stopTime=stop_time)
         for name, value in start.items():
             variable = self.variables[name]
-            setter = {"Real": fmu.setReal, "Boolean": fmu.setBoolean}.get(variable.type, fmu.setInteger)
+            setters = {"Real": fmu.setReal, "Boolean": fmu.setBoolean, "String": fmu.setString}
+            setter = setters.get(variable.type, fmu.setInteger)
             self._call(f"setting {name} = {value}", setter, [variable.valueReference], [value])
         self._call("enterInitializationMode", fmu.enterInitializationMode)
 
@@ -233,7 +306,7 @@ class Instance:
         """Perform the FMI call of each port."""
         for port in ports:
             status = port.call(self._fmu.component, port.references, len(port.names), port.values)
-            if status > 1:
+            if status not in _GOOD:
                 self.fail(port.function, status)
 
     def pointers(self) -> tuple[int, int]:
@@ -252,7 +325,7 @@ class Instance:
 
         def step(time: float, size: float) -> None:
             status = call(component, time, size, 1)
-            if status > 1:
+            if status not in _GOOD:
                 self.fail(f"doStep({time!r}, {size!r})", status)
 
         return step
@@ -290,7 +363,7 @@ class Instance:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
 
     def _loaded(self) -> Any:
-        return fmpy.fmi2.FMU2Slave(
+        return FMU2Strict(
             guid=self.description.guid,
             unzipDirectory=self._folder,
             modelIdentifier=self.model_identifier,
@@ -317,13 +390,14 @@ class Instance:
         """Raise FmuError for the call `what` that returned `status`."""
         if status == _FATAL:
             self._alive = False
-        raise FmuError(f"{self.name}: {what} returned {_STATUS[status]}{self._log_text()}")
+        raise FmuError(f"{self.name}: {what} returned {status_text(status)}{self._log_text()}")
 
     def _log_text(self) -> str:
         """Return the first line of what the FMU logged of its failure; the whole log stays in `messages`."""
-        causes = [m.split(": ", 1)[1] for m in self.messages if m.startswith(("error", "fatal", "discard"))]
-        if not causes:
-            return ""
-        lines = causes[0].splitlines()
-        wrapped = lines[0].startswith("Fatal py exception") and len(lines) > 1
-        return f": {lines[1] if wrapped else lines[0]}"
+        for message in self.messages:
+            kind, _, text = message.partition(": ")
+            lines = text.splitlines()
+            if lines and not kind.startswith(("OK", "warning")):
+                wrapped = lines[0].startswith("Fatal py exception") and len(lines) > 1
+                return f": {lines[1] if wrapped else lines[0]}"
+        return ""

@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
+from fmu_export.errors import shown
+
 from .errors import UserError
 
 SCENARIOS = Path(__file__).parent / "scenarios"
@@ -32,8 +34,14 @@ def assignments(items: list[str] | None) -> list[tuple[str, Any]]:
         name, equals, text = item.partition("=")
         if not equals or not name:
             raise UserError(f"--set takes NAME=VALUE, found {item!r}")
-        try:
-            pairs.append((name, tomllib.loads(f"value = {text}")["value"]))
-        except tomllib.TOMLDecodeError:
-            pairs.append((name, text))
+        pairs.append((name, _value(name, text)))
     return pairs
+
+
+def _value(name: str, text: str) -> Any:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    except (ValueError, RecursionError):  # a number of more digits, or lists of more levels, than Python takes
+        raise UserError(f"--set {name} must be a number, a name or a short list, found {shown(text)}") from None

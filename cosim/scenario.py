@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from fmu_export.files import is_file
 from fmu_export.ownership import WRITTEN
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import INTERFACE as CONTROLLER
@@ -21,8 +22,10 @@ from plant_fmu.parameters import PARAMETER_SETS
 from . import parameter_files
 from .errors import UserError
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
+from .names import PlainName
 from .results import Result
 from .toml_files import read_toml
+from .typed import Finite, Positive, checked
 
 BUILT_IN = Path(__file__).parent / "scenarios"
 
@@ -40,8 +43,6 @@ WIRES = {
 }
 """How the two units are wired, by the measurement that the controller gets."""
 
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 StartValue = bool | int | float | str
 
 
@@ -65,6 +66,7 @@ class RunSection(_Section):
         None,
         ge=0,
         lt=2**31,
+        strict=True,
         description="draws the encoders' sub-count offsets and seeds the noise; none: the FMU's start values",
     )
 
@@ -72,7 +74,9 @@ class RunSection(_Section):
 class PlantSection(_Section):
     """The plant FMU."""
 
-    fmu: str = Field("QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario")
+    fmu: PlainName = Field(
+        "QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario"
+    )
     parameters: str | None = Field(
         None,
         description="none: the FMU's own start values; or a set that replaces them, by name: "
@@ -93,7 +97,9 @@ class PlantSection(_Section):
 class ControllerSection(_Section):
     """The controller FMU."""
 
-    fmu: str = Field("IhcController.fmu", description="file, in the folder given to the command or beside the scenario")
+    fmu: PlainName = Field(
+        "IhcController.fmu", description="file, in the folder given to the command or beside the scenario"
+    )
     design: str | None = Field(
         None, description="design file beside the scenario; none: the design exported in the FMU"
     )
@@ -150,13 +156,15 @@ class RecordSection(_Section):
     """What is kept."""
 
     outputs: tuple[str, ...] | None = Field(None, description="outputs as instance.variable; none: all")
-    every: int = Field(1, ge=1, description="keep every n-th communication point, and the first and the last")
+    every: int = Field(
+        1, ge=1, strict=True, description="keep every n-th communication point, and the first and the last"
+    )
 
 
 class Scenario(_Section):
     """One run's description. `name` is the file's; every section and every entry has a default."""
 
-    name: str = "scenario"
+    name: PlainName = "scenario"
     description: str = ""
     run: RunSection = RunSection()  # type: ignore[call-arg]
     plant: PlantSection = PlantSection()  # type: ignore[call-arg]
@@ -200,21 +208,17 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     Raises UserError that names the file, the entry, the rule and the value.
     """
     path = Path(name)
-    if not path.suffix and not path.is_file():  # a folder `paper` does not hide the scenario `paper`
-        built_in = BUILT_IN / f"{name}.toml"
-        if built_in.exists():
-            path = built_in
-        elif not path.exists():
+    if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
+        if name in built_in_names():
+            path = BUILT_IN / f"{name}.toml"
+        else:
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     data = read_toml(path, "scenario")
     return _validated({"name": path.stem, **data}, str(path)), path.parent
 
 
 def _validated(data: dict[str, Any], source: str) -> Scenario:
-    try:
-        scenario = Scenario.model_validate(data)
-    except ValidationError as error:
-        raise UserError(f"{source}: {_first_problem(error)}") from None
+    scenario = checked(Scenario, data, source)
     try:
         step_count(scenario.run.step, scenario.run.duration)
         if scenario.plant.parameters is not None:
@@ -224,27 +228,11 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def _first_problem(error: ValidationError) -> str:
-    problem = error.errors()[0]
-    if problem["loc"][-1] in ("bool", "int", "float", "str"):
-        place = ".".join(map(str, problem["loc"][:-1]))
-        return f"{place} must be a number, true, false or a name, found {problem['input']!r}"
-    place = ".".join(str(part) for part in problem["loc"])
-    if problem["type"] == "extra_forbidden":
-        section: Any = Scenario
-        for part in problem["loc"][:-1]:
-            field = section.model_fields.get(str(part)) if hasattr(section, "model_fields") else None
-            section = field.annotation if field else section
-        known = list(getattr(section, "model_fields", {}))
-        return f"there is no entry {place}{did_you_mean(str(problem['loc'][-1]), known)}"
-    rule = problem["msg"].replace("Input should be", "must be").replace("Field required", "is required")
-    return f"{place} {rule}, found {problem['input']!r}"
-
-
-def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> System:
+def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
-    What the scenario does not say is as it was exported. Raises UserError for files that do not exist or say what cannot
+    `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
+    does not say is as it was exported. Raises UserError for files that do not exist or say what cannot
     be, designs that fail their certificate, and a controller that was designed for another model than the plant's.
     """
     plant_start: dict[str, StartValue] = {}
@@ -253,6 +241,7 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None) -> 
     if scenario.run.seed is not None:
         plant_start |= random_measurement(scenario.run.seed)
     plant_fmu, controller_fmu, design = files(scenario, fmus, folder)
+    controller_fmu = controller or controller_fmu
     components = (
         Component("controller", controller_fmu, _controller_start(scenario, controller_fmu, design)),
         Component("plant", plant_fmu, plant_start | scenario.plant.start),
@@ -280,7 +269,7 @@ def _controller_start(scenario: Scenario, fmu: Path, design: Path | None) -> dic
         limit = scenario.controller.start.get("voltage_limit", own.get("voltage_limit"))
         start |= _design_values(design, limit)
     if scenario.plant.measurement == "ideal":
-        start["velocity_source"] = "input"
+        start["velocity_source"] = "inputs"
     start |= scenario.controller.start
     source = start.get("velocity_source", own.get("velocity_source"))
     if source in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
@@ -313,7 +302,7 @@ def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[P
 
     def find(file: str) -> Path:
         beside = (folder or Path()) / file
-        return beside if folder is not None and beside.is_file() else fmus / file
+        return beside if folder is not None and is_file(beside) else fmus / file
 
     design = scenario.controller.design
     return (
@@ -356,6 +345,8 @@ def _design_values(path: Path, voltage_limit: StartValue | None) -> dict[str, St
         status = path.stat()
     except FileNotFoundError:
         raise UserError(f"design file {path} does not exist") from None
+    except OSError as error:
+        raise UserError(f"design file {path} cannot be read: {error.strerror}") from None
     return _values_of(path, voltage_limit, status.st_mtime_ns, status.st_size)
 
 

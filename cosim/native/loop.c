@@ -35,6 +35,12 @@ static int fail(loop_run *run, int32_t where, size_t instance, size_t port, int 
     return 1;
 }
 
+/* Whether a call succeeded: OK or warning; no other number is a success, negative ones included. */
+static int good(int status)
+{
+    return status == 0 || status == 1;
+}
+
 static void copy(void *target, const void *source, size_t size)
 {
     if (size == sizeof(double)) { /* by far the most, and without a call */
@@ -64,18 +70,18 @@ static int step_instance(loop_run *run, size_t index, double time)
     for (size_t i = 0; i < instance->input_count; i++) {
         const loop_port *port = &instance->inputs[i];
         const int status = port->call(instance->component, port->references, port->count, port->values);
-        if (status > 1) {
+        if (!good(status)) {
             return fail(run, LOOP_INPUT, index, i, status);
         }
     }
     const int status = instance->do_step(instance->component, time, run->step, 1);
-    if (status > 1) {
+    if (!good(status)) {
         return fail(run, LOOP_STEP, index, 0, status);
     }
     for (size_t i = 0; i < instance->output_count; i++) {
         const loop_port *port = &instance->outputs[i];
         const int got = port->call(instance->component, port->references, port->count, port->values);
-        if (got > 1) {
+        if (!good(got)) {
             return fail(run, LOOP_OUTPUT, index, i, got);
         }
     }

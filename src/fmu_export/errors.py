@@ -1,10 +1,30 @@
-"""A user's mistake, told apart from a bug.
+"""A user's mistake, told apart from a bug, and how what was found is shown in its sentence.
 
 Standard library only: this module travels inside the Python FMUs.
 """
 
 from __future__ import annotations
 
+import reprlib
+
+_MOST_BITS = 256
+
 
 class UserError(ValueError):
     """A file, name, number or combination that cannot work: one sentence with the thing, the rule and the value found."""
+
+
+class _Shown(reprlib.Repr):
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxstring = self.maxother = self.maxlong = 80
+        self.maxlist = self.maxtuple = self.maxdict = self.maxset = 4
+        self.maxlevel = 3
+
+    def repr_int(self, x: int, _level: int) -> str:
+        return repr(x) if x.bit_length() <= _MOST_BITS else f"an integer of {x.bit_length()} bits"
+
+
+def shown(value: object) -> str:
+    """Return `value` as a message may show it: on one line, and short, however large or deep it is."""
+    return _Shown().repr(value)

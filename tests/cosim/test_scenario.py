@@ -127,7 +127,7 @@ def test_an_empty_file_is_a_scenario_of_defaults(written):
     [
         ("[run]\nstepp = 1e-3", "there is no entry run.stepp; did you mean step?"),
         ("[controler]\n", "there is no entry controler; did you mean controller?"),
-        ("[run]\nstep = 'fast'", "run.step must be a valid number, unable to parse string as a number, found 'fast'"),
+        ("[run]\nstep = 'fast'", "run.step must be a valid number, found 'fast'"),
         ("[run]\nstep = [1e-3]", "run.step must be a valid number, found [0.001]"),
         ("[run]\nstep = 0", "run.step must be greater than 0, found 0"),
         ("[run]\nstep = -1e-3", "run.step must be greater than 0, found -0.001"),
@@ -137,7 +137,7 @@ def test_an_empty_file_is_a_scenario_of_defaults(written):
         ("[run]\nseed = 1.5", "run.seed must be a valid integer"),
         ("[run]\nseed = 2147483648", "run.seed must be less than 2147483648, found 2147483648"),
         ("[run]\norder = 'plant-first'", "run.order must be 'controller-first' or 'parallel', found 'plant-first'"),
-        ("run = 3", "run must be a valid dictionary"),
+        ("run = 3", "run must be a table, found 3"),
         (
             "[plant]\nparameters = 'idnt'",
             "plant.parameters must be one of matrices, ident, hcs, listed, swapped or a file *.toml, found 'idnt'",
@@ -173,7 +173,7 @@ def test_what_is_no_toml_is_refused_with_the_place(written, tmp_path):
     with pytest.raises(UserError, match=r"mine\.toml is not TOML: .*line 2"):
         load_scenario(written("[run]\nstep = \n"))
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(UserError, match=r"bytes\.toml is not TOML"):
+    with pytest.raises(UserError, match=r"bytes\.toml must be text in UTF-8, .* it looks like UTF-16"):
         load_scenario(str(tmp_path / "bytes.toml"))
 
 
@@ -307,7 +307,7 @@ def test_a_design_for_another_model_meets_no_plant(design, tmp_path):
 def test_ideal_measurement_wires_the_true_state(fmus):
     scenario = Scenario().changed({"plant.measurement": "ideal", "run.duration": 0.01, "plant.start.theta_dot_0": 0.5})
     system = build_system(scenario, fmus)
-    assert start_of(system, "controller")["velocity_source"] == "input"
+    assert start_of(system, "controller")["velocity_source"] == "inputs"
     ends = {(w.source, w.target) for w in system.wires}
     states = ("theta", "delta", "theta_dot", "delta_dot")
     assert ends == {(f"plant.{s}", f"controller.{s}") for s in states} | {("controller.voltage", "plant.voltage")}
