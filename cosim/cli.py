@@ -6,6 +6,7 @@ import importlib.metadata
 import math
 import secrets
 import sys
+from collections.abc import Sequence
 from contextlib import nullcontext
 from enum import StrEnum
 from functools import partial
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+from fmu_export.ownership import check_replaceable
 
 from . import signals
 from .display import (
@@ -25,6 +28,7 @@ from .display import (
     print_metrics,
     print_results,
     print_tuning,
+    problems,
     progress,
     say_error,
     say_fault,
@@ -33,7 +37,7 @@ from .display import (
     warn_of_messages,
 )
 from .errors import Interrupted, SimulationError, UserError
-from .export import Kind, Smc, export_units
+from .export import EXPORTED, Kind, Smc, export_units
 from .hil import commands as hil_commands
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
 from .toml_files import read_toml
@@ -152,19 +156,32 @@ def design(
     """
     from ihc_fmu.design import InfeasibleError, Options, direct_design, inverse_design, largest_alpha
 
+    if output.suffix != ".json":
+        raise UserError(f"--output must name a .json file, found {output}")
+    check_replaceable(output)
     A, b, k_lin = _read_system(system, need_gain=method is Method.inverse)
     if u_max is None and delta_max is None:
         u_max = 1.5
     options = Options(mu=mu, alpha=alpha, u_max=u_max, delta_max=delta_max, beta=beta, psi=psi, d_max=d_max)
-    try:
-        found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
-    except InfeasibleError as error:
-        if method is Method.direct or psi or d_max:
-            raise
-        raise UserError(f"{error}; the largest feasible alpha is {largest_alpha(A, b, k_lin, mu):.4g} 1/s") from None
-    found.save(output)
-    print_design(found)
-    console.print(f"largest feasible alpha for this k_lin and mu: {largest_alpha(A, b, found.k_lin, mu):.4g} 1/s")
+    with problems.status("solving the matrix inequalities") as shown:
+
+        def limit(gain: Any) -> str:
+            say = "largest feasible alpha: between {:.4g} and {:.4g} 1/s"
+            try:
+                found = largest_alpha(A, b, gain, mu, progress=lambda low, high: shown.update(say.format(low, high)))
+            except InfeasibleError as error:
+                return f"not found: {error}"
+            return f"{found:.4g} 1/s"
+
+        try:
+            found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
+        except InfeasibleError as error:
+            if method is Method.direct or psi or d_max:
+                raise
+            raise UserError(f"{error}; the largest feasible alpha is {limit(k_lin)}") from None
+        found.save(output)
+        print_design(found)
+        console.print(f"largest feasible alpha for this k_lin and mu: {limit(found.k_lin)}")
     console.print(f"wrote {escaped(output)}")
 
 
@@ -241,6 +258,7 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
+    check_replaceable(*(output / name for name in EXPORTED))
     with console.status("building") if names else nullcontext() as status:
         building = None if status is None else lambda what: status.update(f"building {what}")
         paths = export_units(
@@ -285,6 +303,10 @@ def run(
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
+    unfinished = path.with_suffix(".partial.csv")  # an earlier complete result stays
+    check_replaceable(*(file.with_suffix(suffix) for file in (path, unfinished) for suffix in (".csv", ".json")))
+    if plot:
+        check_replaceable(path.with_suffix(".png"))
     say_notes(remarks(build_system(chosen, fmus, folder)))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
@@ -294,7 +316,7 @@ def run(
             )
         except (SimulationError, Interrupted) as stopped:
             if len(stopped.result.time):
-                partial = _save(stopped.result, path.with_suffix(".partial.csv"))  # an earlier complete result stays
+                partial = _save(stopped.result, unfinished)
                 count = len(stopped.result.time)
                 bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
             raise
@@ -366,12 +388,22 @@ def compare(
     chosen, folder = load_scenario(scenario[0])
     chosen = chosen.changed(dict(assignments(change)))
     say_notes(remarks(build_system(chosen, fmus, folder)))
+    _check_folder(output / chosen.name, chosen_laws)
     _compare([Study(chosen, folder, draws)], fmus, output, chosen_laws, workers)
+
+
+def _check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
+    """Raise UserError where a comparison in `folder` would replace a file that is not this project's."""
+    from .plots import COMPARISON
+
+    files = [f"{name}{suffix}" for name in (*laws, "comparison") for suffix in (".csv", ".json")] if laws else []
+    check_replaceable(*(folder / name for name in (*files, *(f"{name}.png" for name in COMPARISON))))
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
     from fmu_export.files import staging
 
+    from .hil.overlay import alike
     from .plots import save_comparison
     from .results import Result
 
@@ -379,7 +411,8 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
     names = stems if len(set(stems)) == len(stems) else [str(path.with_suffix("")) for path in paths]
     if len(set(names)) < len(names):
         raise UserError(f"results to compare must be different files, found {', '.join(map(str, paths))}")
-    results = {name: Result.load(path) for name, path in zip(names, paths, strict=True)}
+    results = alike({name: Result.load(path) for name, path in zip(names, paths, strict=True)})
+    _check_folder(folder)
     print_results(results)
     with staging(folder) as place:
         save_comparison(results, place, ", ".join(names))
@@ -442,7 +475,7 @@ def tune(
 
     from .campaign import Journal
     from .scenario import load_scenario
-    from .tuning import PURPOSE, Grid, Problem, save
+    from .tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from .tuning import tune as run_tuning
 
     chosen, folder = load_scenario(scenario)
@@ -455,6 +488,7 @@ def tune(
     found = default_design() if design is None else _load_design(design)
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
+    check_replaceable(*(target / name for name in WRITTEN_FILES))
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)
@@ -498,6 +532,7 @@ def paper(
     size = QUICK if quick else FULL
     if draws is not None:
         size = replace(size, draws=draws)
+    check_replaceable(output / "report.html")
     if fmus is None:
         fmus = output / "fmus"
         export_units(default_design(), output=fmus)
@@ -522,6 +557,9 @@ def demo(
     from .experiments import LAWS, Study
     from .scenario import load_scenario
 
+    check_replaceable(output / "design.json", *(fmus / name for name in EXPORTED))
+    for name in DEMO:
+        _check_folder(output / name, LAWS)
     console.print("1. design: the paper's A, b and k_lin, inverse design")
     found = default_design()
     found.save(output / "design.json")

@@ -34,6 +34,8 @@ UNSTEADY = 0.25
 """Share of draws without a steady state above which a mean over the window is flagged; single runs are wrongly so in a few
 of a hundred."""
 
+FORMAT = "qube-ihc comparison 1"
+
 
 @dataclass(frozen=True)
 class Draw:
@@ -178,6 +180,7 @@ class Comparison:
             laws[law] |= {"kept": self.kept(law), "steady": self.steady(law)}
             laws[law]["never_settled"] = self.never(law, "settling_time")
         return {
+            "format": FORMAT,
             "scenario": self.scenario.model_dump(mode="json"),
             "draws": self.count,
             "laws": laws,

@@ -30,6 +30,10 @@ class Smc(StrEnum):
     linear_poles = "linear-poles"
 
 
+EXPORTED = ("QubeServo2.fmu", "IhcController.fmu", "QubeWithController.ssp")
+"""The files that an export writes."""
+
+
 def export_units(
     design: Design,
     parameters: str = "ident",

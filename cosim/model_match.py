@@ -1,11 +1,13 @@
 """Where controller and plant meet: is the model that the controller was designed for the plant's?
 
-The controller FMU's Phi and row hold its design's model, since z = Phi x obeys z' = N z + e_n (u + row x), N the upper shift:
+The controller FMU's Phi and row hold its design's model, since z = Phi x obeys z' = N z + e_n (u + row x) with the upper
+shift N:
 
     A = Phi^-1 (N Phi + e_n row),   b = Phi^-1 e_n.
 
-The plant's is its linearization at upright with its start values. The two need not be equal: damping is left out of designs
-and differs among pendulums of a kind by orders of magnitude, so that it is only remarked; the rest is known to some per cent.
+The plant's is its linearization at upright with its start values. The two need not be equal: damping is left out of
+designs and differs among pendulums of a kind by orders of magnitude, so that it is only remarked; the rest is known to
+some per cent.
 What is allowed is so wide that every named parameter set with all its numbers drawn within 20 % passes with the default
 design (at most 0.64, 0.53 to 1.90 and 0.19 in 5000 draws of each), and so narrow that no other order of states, unit, sign
 or system does (a cart-pole: 0.86 to 0.94 and a gain of -0.05 to 0.09).
@@ -22,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from fmu_export.errors import UserError
 from ihc_fmu.interface import STATES, matrix, vector
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import QubeParameters
@@ -58,7 +61,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Distance:
-    """How far a model is from the plant's: A, and its stiffness, relative; b's gain and sine of the angle; kinematics' error."""
+    """How far a model is from the plant's: A, and its stiffness, relative; b's gain and sine of the angle; kinematics."""
 
     A: float
     stiffness: float
@@ -74,27 +77,42 @@ class Distance:
 
 
 def design_model(controller: Mapping[str, Any]) -> Model | None:
-    """Return the model that a controller FMU with these start values was designed for; None where they hold none."""
+    """Return the model that a controller FMU with these start values was designed for; None where they hold none.
+
+    Numbers beyond reason are left to the FMU, which says what is wrong.
+    """
     if not {*matrix("Phi"), *vector("row")} <= controller.keys():
         return None
     n = len(STATES)
     Phi = np.array([controller[name] for name in matrix("Phi")], dtype=float).reshape(n, n)
     row = np.array([controller[name] for name in vector("row")], dtype=float)
-    if not np.isfinite(Phi).all() or np.linalg.matrix_rank(Phi, tol=0.0) < n:
-        return None  # the FMU itself says what is wrong
     e_n = np.eye(n)[-1]
-    return Model(np.linalg.solve(Phi, np.eye(n, k=1) @ Phi + np.outer(e_n, row)), np.linalg.solve(Phi, e_n))
+    with np.errstate(all="ignore"):
+        try:
+            model = Model(np.linalg.solve(Phi, np.eye(n, k=1) @ Phi + np.outer(e_n, row)), np.linalg.solve(Phi, e_n))
+        except np.linalg.LinAlgError:
+            return None
+    return _finite(model)
 
 
 def plant_model(plant: Mapping[str, Any]) -> Model | None:
-    """Return the linearization at upright of a plant FMU with these start values; None where it is another plant."""
+    """Return the linearization at upright of a plant FMU with these start values; None where it is another plant.
+
+    Numbers beyond reason are left to the FMU, which says what is wrong.
+    """
     if not {*_NUMBERS, "back_emf"} <= plant.keys():
         return None
-    try:
-        parameters = QubeParameters(**{name: float(plant[name]) for name in _NUMBERS})
-    except ValueError:
-        return None  # the FMU itself says what is wrong
-    return Model(*linearize(parameters, back_emf=bool(plant["back_emf"])))
+    with np.errstate(all="ignore"):
+        try:
+            parameters = QubeParameters(**{name: float(plant[name]) for name in _NUMBERS})
+            model = Model(*linearize(parameters, back_emf=bool(plant["back_emf"])))
+        except (UserError, ArithmeticError):
+            return None
+    return _finite(model)
+
+
+def _finite(model: Model) -> Model | None:
+    return model if np.isfinite(model.A).all() and np.isfinite(model.b).all() and model.b.any() else None
 
 
 def distance(model: Model, plant: Model) -> Distance:
@@ -134,11 +152,12 @@ def remarks(controller: Mapping[str, Any], plant: Mapping[str, Any]) -> list[str
     said = []
     d = distance(design, real)
     if d.A > NOTABLE_DISTANCE or not NOTABLE_GAINS[0] <= d.gain <= NOTABLE_GAINS[1]:
-        said.append(
-            f"the controller's model is not quite the plant's: A differs by {100 * d.A:.0f} %, b by {100 * (d.gain - 1):+.0f} %"
-        )
+        numbers = f"A differs by {100 * d.A:.0f} %, b by {100 * (d.gain - 1):+.0f} %"
+        said.append(f"the controller's model is not quite the plant's: {numbers}")
     k_lin = np.array([controller.get(name, 0.0) for name in vector("k_lin")], dtype=float)
-    slowest = float(np.linalg.eigvals(real.A + np.outer(real.b, k_lin)).real.max())
+    with np.errstate(all="ignore"):
+        closed = real.A + np.outer(real.b, k_lin)
+    slowest = float(np.linalg.eigvals(closed).real.max()) if np.isfinite(closed).all() else -math.inf
     if slowest >= 0.0:
         said.append(f"k_lin does not stabilize this plant: the largest real part of its poles is {slowest:.3g} 1/s")
     return said

@@ -13,6 +13,7 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
 from fmu_export.files import is_file, write_file
+from fmu_export.ownership import WRITTEN
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
@@ -61,7 +62,7 @@ def save(path: Path, chosen: ParameterSet) -> None:
     if path.suffix != SUFFIX:
         raise UserError(f"a parameter set goes into a file named *{SUFFIX}, found {path}")
     about = {"source": chosen.source, "back_emf": chosen.back_emf}
-    write_file(path, tomli_w.dumps({**about, **asdict(chosen.parameters)}))
+    write_file(path, f"# {WRITTEN}\n" + tomli_w.dumps({**about, **asdict(chosen.parameters)}))
 
 
 def chosen(name_or_file: str, folder: Path | None = None) -> ParameterSet:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from fmu_export.files import write_file
+from fmu_export.ownership import SOFTWARE
 from ihc_fmu.interface import LAWS
 
 from .metrics import angle_norm, wrapped
@@ -46,6 +47,10 @@ def law_of(result: Result) -> str:
     start = result.metadata.get("start_values", {}).get("controller", {})
     law = start.get("law")
     return LAWS[int(law) - 1] if isinstance(law, int | float) and 1 <= law <= len(LAWS) else str(law or "")
+
+
+COMPARISON = ("angles", "norm", "voltage", "homogeneous_norm")
+"""The pictures of `save_comparison`."""
 
 
 def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> list[Path]:
@@ -101,7 +106,7 @@ def save_figure(figure: Figure, path: Path, title: str) -> Path:
     figure.suptitle(literal(title), fontsize="medium")
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": None})
+    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
     write_file(path, buffer.getvalue())
     return path
 

@@ -11,7 +11,11 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+<<<<<<< HEAD
 from fmu_export.files import is_file, is_folder
+=======
+from fmu_export.ownership import WRITTEN
+>>>>>>> model
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.interface import VELOCITY_SOURCES
@@ -20,7 +24,6 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files
 from .errors import UserError
-from .fmu import Value
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
 from .results import Result
@@ -194,7 +197,7 @@ class Scenario(_Section):
         """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name."""
         import tomli_w  # noqa: PLC0415
 
-        return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
+        return f"# {WRITTEN}\n" + tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
 
 
 def built_in_names() -> list[str]:
@@ -359,15 +362,15 @@ def _values_of(path: Path, voltage_limit: StartValue | None, _time: int, _size: 
     return dict(design_values(design) if voltage_limit is None else design_values(design, None, float(voltage_limit)))
 
 
-def _own_values(fmu: Path) -> Mapping[str, Value]:
+def _own_values(fmu: Path) -> Mapping[str, StartValue]:
     """Return the start values with which an FMU was exported, by name and in their types."""
     from .fmu import start_values_of  # noqa: PLC0415
 
     return start_values_of(fmu)
 
 
-def _kalman_values(own: Mapping[str, Value], start: Mapping[str, StartValue]) -> dict[str, StartValue]:
-    """Return the Kalman filter's gain for the sample time and the nominal model; nothing where the FMU's own is for them."""
+def _kalman_values(own: Mapping[str, StartValue], start: Mapping[str, StartValue]) -> dict[str, StartValue]:
+    """Return the Kalman filter's gain for sample time and nominal model; nothing where the FMU's own is for them."""
     values = {**own, **start}
     nominal = {name: float(value) for name, value in values.items() if name.startswith("nominal_")}
     time = float(values["sample_time"])

@@ -35,6 +35,9 @@ MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_var
 
 CHATTERING = "voltage_variation"
 
+WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
+"""What `save` writes."""
+
 PURPOSE = "tuning: numbers 2"
 """Named in the journal; to be changed with `numbers`."""
 
@@ -277,7 +280,7 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
         write_file(place / "best.toml", scenario)
         design.save(place / "best.json")
         save_figure(_landscape(tuning), place / "landscape.png", title)
-    return [folder / name for name in ("tuning.csv", "landscape.png", "best.toml", "best.json")]
+    return [folder / name for name in WRITTEN_FILES]
 
 
 def _landscape(tuning: Tuning) -> Figure:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fmu_export.files import staging, uninterrupted
+from fmu_export.ownership import check_replaceable
 from fmu_export.variables import did_you_mean
 
 from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes, show_table
@@ -300,6 +302,8 @@ def device(
     chosen, folder = load_scenario(scenario)
     _, plant = build_system(chosen.changed(dict(assignments(change))), fmus, folder).components
     board = Board(plant, parse(faults))
+    if record is not None:
+        check_replaceable(record)
 
     def say(text: str) -> None:
         console.print(escaped(text), soft_wrap=True)
@@ -352,31 +356,40 @@ def overlay(
     ] = None,
 ) -> None:
     """Re-simulate a run from where its log begins and lay the simulation over the hardware: pictures, metrics."""
-    from ..plots import save_comparison
+    from ..plots import COMPARISON, save_comparison
     from ..results import Result
     from .overlay import as_seen, differences, resimulate
+    from .scaling import RESOLUTION
 
     result = Result.load(run)
     about = result.metadata.get("scenario", {}).get("plant", {})
-    chosen = parameters or about.get("parameters") or "ident"
+    folder = output or run.with_name(f"{run.stem}_overlay")
+    pictures = (f"{name}.png" for name in COMPARISON)
+    check_replaceable(*(folder / name for name in ("simulation.csv", "simulation.json", *pictures)))
     plant = fmus / Path(about.get("fmu", "QubeServo2.fmu")).name
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
-        measured, simulated = resimulate(
+        found = resimulate(
             result,
             (plant, _controller_fmu(result, controller, fmus)),
-            chosen,
+            parameters,
             begin,
             lambda done, total: bar.update(task, completed=done, total=total),
         )
-    folder = output or run.with_name(f"{run.stem}_overlay")
+    measured, simulated = found.measured, found.simulated
     both = {"device": measured, "simulation": as_seen(simulated, measured)}
     with staging(folder) as place:
         simulated.save(place / "simulation.csv")
-        save_comparison(both, place, f"{run.name} and its simulation with {chosen}")
+        save_comparison(both, place, f"{run.name} and its simulation with {parameters or 'its own plant'}")
     print_results(both)
     for name, value in differences(measured, simulated).items():
         console.print(f"RMS difference of {name}: {value:.4g} {escaped(measured.units[name])}", highlight=False)
+    console.print(
+        f"over stretches of 0.25 s the model is {1e3 * found.beginning.rms:.3g} mrad RMS off; counting alone gives "
+        f"{1e3 * RESOLUTION / math.sqrt(12.0):.3g} mrad",
+        highlight=False,
+        soft_wrap=True,
+    )
     console.print(f"simulation and pictures in {escaped(folder)}", soft_wrap=True)
 
 
@@ -399,11 +412,14 @@ def identify(
 
     from .. import parameter_files
     from ..results import Result
+    from .identify import LIKE_VOLTAGE
     from .identify import identify as run_identify
     from .scaling import RESOLUTION
 
     result = Result.load(run)
     start = parameter_files.chosen(parameters)
+    path = output or run.with_name(f"{run.stem}_parameters.toml")
+    check_replaceable(path)
     with console.status("identification") as shown:
         found = run_identify(
             result,
@@ -411,7 +427,6 @@ def identify(
             tuple(name.strip() for name in names.split(",")),
             progress=lambda trials, rms: shown.update(f"trial {trials}: residual {rms:.3g} rad"),
         )
-    path = output or run.with_name(f"{run.stem}_parameters.toml")
     parameter_files.save(path, found.parameters)
     headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
     units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
@@ -420,6 +435,14 @@ def identify(
         rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
     show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
     unknown = [name for name, e in found.estimates.items() if not e.identifiable]
+    if found.disturbed:
+        p = found.parameters.parameters
+        problems.print(
+            f"[yellow]note:[/] the residuals show a disturbance that the model lacks, like {found.disturbance:.2g} V RMS at "
+            f"the motor, {found.disturbance * p.k_m / p.R_m:.2g} N.m: the arm's damping and friction cannot be told from "
+            "it, whatever their intervals say"
+        )
+        unknown = [name for name in unknown if name not in LIKE_VOLTAGE]
     if unknown:
         problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
     console.print(

@@ -250,7 +250,7 @@ def free_path(folder: Path, stem: str) -> Path:
     number = 1
     while True:
         path = folder / f"{stem if number == 1 else f'{stem}_{number}'}.csv"
-        if not path.exists() and not path.with_suffix(".rows").exists():
+        if not any(path.with_suffix(suffix).exists() for suffix in (".csv", ".json", ".png", ".rows")):
             return path
         number += 1
 
@@ -272,7 +272,7 @@ def recover(folder: Path) -> list[tuple[Path, int | str]]:
                 recovered.append((path, str(error)))
                 continue
             target = path.with_suffix(".csv")
-            if target.exists():  # saved, but for what a killed run did last
+            if target.exists() or target.with_suffix(".json").exists():  # saved, but for what a killed run did last
                 target = free_path(folder, path.stem)
             to_result(layout, rows, {**about, "complete": False, "recovered": True}).save(target)
         path.unlink()

@@ -2,86 +2,130 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from plant_fmu.interface import start_values as plant_start_values
+from plant_fmu.parameters import ParameterSet, QubeParameters
 
 from ..errors import UserError
+from ..fmu import start_values_of
 from ..master import Component, System, simulate
 from ..metrics import wrapped
 from ..parameter_files import chosen
 from ..results import Result
 from ..scenario import WIRES
+from .identify import Beginning, beginning
 from .replay import MEASURED
+from .scaling import RESOLUTION
 
-FIT_TIME = 0.05
-"""Stretch of the log [s] from which the velocities at its start are found."""
-FIT_DEGREE = 3
+CHANCE = (
+    "theta_0",
+    "delta_0",
+    "theta_dot_0",
+    "delta_dot_0",
+    "theta_encoder_offset",
+    "delta_encoder_offset",
+    "noise_std",
+)
+"""Start values of the plant that are found in the log, or that no other run has: the first state, offsets, noise."""
 
 
-def start_state(result: Result, begin: float) -> dict[str, float]:
-    """Return the plant's start values at time `begin` [s] of a log: angles and velocities of a cubic through FIT_TIME.
+@dataclass(frozen=True)
+class Overlay:
+    """The log from `begin` on and its simulation, both from time 0; what the log showed of its beginning."""
 
-    The middle of a count is taken for the angle that was counted down to it.
-    """
-    late = (result.time >= begin - 1e-9) & (result.time <= begin + FIT_TIME)
-    if np.count_nonzero(late) <= FIT_DEGREE:
-        raise UserError(f"the log must have at least {FIT_TIME:g} s from {begin:g} s on, it ends at {_end(result):g} s")
-    time = result.time[late] - begin
-    state = {}
-    for name in MEASURED:
-        rate, angle = np.polyfit(time, result[name][late], FIT_DEGREE)[-2:]
-        short = name.removeprefix("plant.").removesuffix("_encoder")
-        state[f"{short}_0"], state[f"{short}_dot_0"] = float(angle), float(rate)
-    return state
+    measured: Result
+    simulated: Result
+    beginning: Beginning
+
+
+def own_start(result: Result) -> dict[str, Any]:
+    """Return the plant's start values that a run's scenario says, but for its own first state, offsets and noise."""
+    plant = result.metadata.get("scenario", {}).get("plant", {})
+    named = plant.get("parameters")
+    start = {} if named is None else dict(plant_start_values(chosen(named)))
+    return start | {name: value for name, value in plant.get("start", {}).items() if name not in CHANCE}
 
 
 def resimulate(
     result: Result,
     fmus: tuple[Path, Path],
-    parameters: str,
+    parameters: str | None = None,
     begin: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Result, Result]:
-    """Return (the log from `begin` [s] on, its simulation with the plant's `parameters`), both from time 0.
+) -> Overlay:
+    """Return the log from `begin` [s] on and its simulation with the plant's `parameters`.
 
-    `fmus` are the plant's and the controller's; the controller has the log's start values. The encoders are zeroed in the
-    middle of a count, since nobody knows where inside one the device's were. Raises UserError for a log without start
-    values.
+    None: with what the run's scenario says, and what it does not say as the plant FMU was exported. `fmus` are the plant's
+    and the controller's; the controller has the log's start values. The first state, and where in its count the
+    pendulum's encoder was zeroed, are those that fit the log best with this plant, see `identify.beginning`; where the
+    arm's was zeroed is in its first angle, since nothing depends on that but the measurement. Raises UserError for a log
+    without start values, or too short.
     """
     try:
         start, step = result.metadata["start_values"]["controller"], result.metadata["step"]
     except (KeyError, TypeError):
         raise UserError("the log does not say with which start values it was made") from None
     rows = np.flatnonzero(result.time >= begin - 1e-9)
-    if rows.size < 2:
-        raise UserError(f"the log must go on after {begin:g} s, it ends at {_end(result):g} s")
+    if rows.size < LEAST_ROWS:
+        raise UserError(f"the log must have {LEAST_ROWS} rows from {begin:g} s on, it ends at {_end(result):g} s")
     measured = Result(
         result.time[rows] - result.time[rows[0]],
         {name: signal[rows] for name, signal in result.signals.items()},
         result.units,
         result.metadata,
     )
-    plant = {
-        **plant_start_values(chosen(parameters)),
-        **start_state(result, float(result.time[rows[0]])),
+    plant = own_start(result) if parameters is None else dict(plant_start_values(chosen(parameters)))
+    found = beginning(measured, _set_of({**start_values_of(fmus[0]), **plant}, parameters or "of the run"))
+    names = ("theta_0", "delta_0", "theta_dot_0", "delta_dot_0")
+    plant |= dict(zip(names, found.state, strict=True))
+    plant |= {
         "theta_encoder_offset": 0.5,
-        "delta_encoder_offset": 0.5,
+        "delta_encoder_offset": float(np.clip(0.5 + found.bias / RESOLUTION, 0.0, 1.0)),
     }
     system = System((Component("controller", fmus[1], start), Component("plant", fmus[0], plant)), WIRES["encoders"])
     duration = round(float(measured.time[-1]) / step) * step
-    return measured, simulate(
-        system, step, duration, metadata={"overlay": {"parameters": parameters}}, progress=progress
+    simulated = simulate(
+        system, step, duration, metadata={"overlay": {"parameters": parameters, "bias": found.bias}}, progress=progress
     )
+    return Overlay(measured, simulated, found)
+
+
+LEAST_ROWS = 45
+"""Rows from the beginning on: enough for the fit of the beginning."""
+
+
+def _set_of(values: Mapping[str, Any], name: str) -> ParameterSet:
+    numbers = {f.name: float(values[f.name]) for f in fields(QubeParameters) if f.name in values}
+    if len(numbers) < len(fields(QubeParameters)) or "back_emf" not in values:
+        raise UserError("the overlay needs the plant FMU of this project: another does not say its parameters")
+    return ParameterSet(name, QubeParameters(**numbers), "start values", "overlay", bool(values["back_emf"]))
 
 
 def as_seen(simulated: Result, measured: Result) -> Result:
     """Return the simulation with the signals that the log has too: the encoders' angles and not the true ones."""
     shared = {name: signal for name, signal in simulated.signals.items() if name in measured.signals}
     return Result(simulated.time, shared, {name: simulated.units[name] for name in shared}, simulated.metadata)
+
+
+def alike(results: Mapping[str, Result]) -> dict[str, Result]:
+    """Return the results with what all can be judged by: where one has no true angles, none has."""
+    true = {"plant.theta", "plant.delta"}
+    if all(true <= result.signals.keys() for result in results.values()):
+        return dict(results)
+
+    def seen(result: Result) -> Result:
+        kept = {
+            n: signal for n, signal in result.signals.items() if n not in true or f"{n}_encoder" not in result.signals
+        }
+        return Result(result.time, kept, {n: result.units[n] for n in kept}, result.metadata)
+
+    return {name: seen(result) for name, result in results.items()}
 
 
 def _end(result: Result) -> float:

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_export.files import write_file
+from fmu_export.ownership import WRITTEN
 
 from ..metrics import QUANTITIES
 from . import printed
@@ -50,8 +51,8 @@ class Table:
 
     def save(self, folder: Path) -> None:
         """Write NAME.csv and NAME.md."""
+        write_file(folder / f"{self.name}.md", f"<!-- {WRITTEN} -->\n\n{self.markdown()}")
         self.save_csv(folder)
-        write_file(folder / f"{self.name}.md", self.markdown())
 
     def save_csv(self, folder: Path) -> None:
         """Write NAME.csv."""

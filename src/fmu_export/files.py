@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from .errors import UserError
+from .ownership import check_replaceable
 
 Content = str | bytes | Iterable[bytes]
 """Text (UTF-8), bytes, or pieces of bytes."""
@@ -24,7 +25,7 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
     It is on the disk before it gets its name, so that neither a crash nor a full disk leaves half a file, and an earlier
     file of that name stays until then. Folders on the way are made. Raises UserError that names `path` where it cannot be
-    written.
+    written, or is a file that this project did not write.
     """
     with _beside(path) as (file, beside), _named(path):
         yield file
@@ -79,6 +80,7 @@ def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
         with _named(folder):
             for name in names:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        check_replaceable(*(folder / name for name in names))
         with uninterrupted(), _alone_in(folder):
             for name in sorted(names, key=lambda name: str(name) == last):
                 with _named(folder / name):
@@ -129,6 +131,7 @@ def _beside(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise UserError(f"{path} cannot be written: it is a folder")
+        check_replaceable(path)
         beside = path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}.tmp")
         file = beside.open("xb")
     try:

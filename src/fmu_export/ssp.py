@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 
 from .archive import write_zip
 from .model_description import UNITS
+from .ownership import SOFTWARE
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -23,7 +24,7 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     ends = [(*a.split("."), *b.split(".")) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
-    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0")
+    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0", generationTool=SOFTWARE)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}

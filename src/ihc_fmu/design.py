@@ -8,6 +8,7 @@ coordinates of (A, b) are. The solver's word is not taken: `certify` recomputes 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +26,10 @@ from .companion import chain_form, checked_system, weights
 Array = np.ndarray
 
 FORMAT = "qube-ihc design 1"
+SOLVER_TIME = 120.0
+"""Longest time for one semidefinite program [s]."""
+LOWEST_ALPHA = 1e-6
+"""Smallest alpha that is tried for the largest feasible one, relative to the decay rate of the slowest pole."""
 SCALES = (1e-9, 1e9)
 """Bounds on what scales the problem: beyond, neither the solver nor double precision resolves it."""
 SLACK = 1e-6
@@ -44,7 +49,11 @@ PAPER_K_LIN = (2.0, -30.0, 2.0, -2.5)
 
 
 class InfeasibleError(UserError):
-    """The matrix inequalities have no solution for the given numbers."""
+    """The matrix inequalities have no solution for the given numbers, or the solver found none (`numerical`)."""
+
+    def __init__(self, message: str, *, numerical: bool = False) -> None:
+        super().__init__(message)
+        self.numerical = numerical
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,9 +279,15 @@ def _solve(problem: Any, what: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate
         try:
-            problem.solve(solver=cp.CLARABEL)
+            problem.solve(solver=cp.CLARABEL, time_limit=SOLVER_TIME)
         except cp.SolverError:
-            raise InfeasibleError(f"{what}: the solver failed on the matrix inequalities") from None
+            message = f"{what}: the solver failed numerically on the matrix inequalities"
+            raise InfeasibleError(message, numerical=True) from None
+    if problem.status == cp.USER_LIMIT:
+        message = (
+            f"{what}: the solver reached its limit of iterations or of {SOLVER_TIME:g} s on the matrix inequalities"
+        )
+        raise InfeasibleError(message, numerical=True)
     if problem.status not in {cp.OPTIMAL, cp.OPTIMAL_INACCURATE}:
         raise InfeasibleError(f"{what}: the matrix inequalities have no solution (solver: {problem.status})")
 
@@ -352,10 +367,32 @@ def _checked_gain(k_lin: Array, A: Array, b: Array) -> Array:
     k_lin = np.asarray(k_lin, dtype=float)
     if k_lin.shape != b.shape or not np.isfinite(k_lin).all():
         raise UserError(f"k_lin must have {len(b)} finite entries, found shape {k_lin.shape}")
-    slowest = np.linalg.eigvals(A + np.outer(b, k_lin)).real.max()
+    slowest = _slowest(A, b, k_lin)
     if slowest >= 0.0:
-        raise UserError(f"k_lin must stabilize (A, b): the largest real part of the poles is {slowest:.4g} 1/s")
+        raise UserError(
+            f"k_lin must stabilize (A, b): the largest real part of the poles is {slowest:.4g} 1/s{_hint(A, b, k_lin)}"
+        )
     return k_lin
+
+
+def _slowest(A: Array, b: Array, k: Array) -> float:
+    return float(np.linalg.eigvals(A + np.outer(b, k)).real.max())
+
+
+def _hint(A: Array, b: Array, k_lin: Array) -> str:
+    """Return what would make a gain that does not stabilize do so: its sign, or another order of its entries."""
+    if _slowest(A, b, -k_lin) < 0.0:
+        return "; -k_lin does: the law is u = +k_lin x here, not u = -K x"
+    half, rest = divmod(len(b), 2)
+    if rest or half < 2:
+        return ""
+    grouped = k_lin.reshape(half, 2).T.ravel()  # given as angle, rate, angle, rate
+    mixed = k_lin.reshape(2, half).T.ravel()
+    for gain, order in ((grouped, "(angle, rate, angle, rate)"), (mixed, "(angle, angle, rate, rate)")):
+        for sign, law in ((1.0, ""), (-1.0, " and the sign of u = -K x")):
+            if _slowest(A, b, sign * gain) < 0.0:
+                return f"; k_lin seems to be in the order {order}{law}, unlike A"
+    return ""
 
 
 def _optimize(A: Array, b: Array, k_lin: Array | None, options: Options) -> Design:
@@ -447,26 +484,49 @@ def _to_x(p: _Scaled, Pz: Array) -> Array:
 
 
 @_QUIET
-def largest_alpha(A: Array, b: Array, k_lin: Array, mu: float = 1.0, tolerance: float = 1e-4) -> float:
+def largest_alpha(
+    A: Array,
+    b: Array,
+    k_lin: Array,
+    mu: float = 1.0,
+    tolerance: float = 1e-4,
+    progress: Callable[[float, float], None] | None = None,
+) -> float:
     """Return the largest alpha [1/s] for which (11) has a solution, within the relative `tolerance`, from below.
 
     For a fixed alpha, (11) is a linear feasibility problem in P; feasibility is monotone in alpha, so it is bisected
-    between 0 and the decay rate of the slowest pole, which bounds it because every w_i is at least 1.
+    between 0 and the decay rate of the slowest pole, which bounds it because every w_i is at least 1. `progress(low, high)`
+    is called with the interval. Raises InfeasibleError where none is found down to LOWEST_ALPHA of that rate, `numerical`
+    where the solver could not decide there.
     """
     A, b = checked_system(A, b)
     k_lin = _checked_gain(k_lin, A, b)
     p = _scale(A, b, k_lin, mu, 1.0)
     low, high = 0.0, -float(np.linalg.eigvals(A + np.outer(b, k_lin)).real.max())
-    while high - low > tolerance * high:
+    lowest = LOWEST_ALPHA * high
+    feasible: bool | None = True
+    while high - low > tolerance * high and high > lowest:
+        if progress is not None:
+            progress(low, high)
         middle = (low + high) / 2
         q = p.balanced(middle)
         feasible = _feasible(q.N + np.outer(q.e, q.k), q.W, middle / p.omega)
         low, high = (middle, high) if feasible else (low, middle)
+    if not low:
+        why = (
+            "the matrix inequalities have no solution"
+            if feasible is False
+            else "the solver cannot decide, numerically,"
+        )
+        raise InfeasibleError(f"{why} for any alpha down to {high:.2g} 1/s", numerical=feasible is None)
     return low
 
 
-def _feasible(closed: Array, W: Array, alpha: float) -> bool:
-    """Decide (11) in scaled coordinates: maximize t with I <= P <= 1e8 I, -(...) >= t I and W P + P W >= t I."""
+def _feasible(closed: Array, W: Array, alpha: float) -> bool | None:
+    """Decide (11) in scaled coordinates: maximize t with I <= P <= 1e8 I, -(...) >= t I and W P + P W >= t I.
+
+    None where the solver fails or the margin is within its errors.
+    """
     import cvxpy as cp  # noqa: PLC0415
 
     n = len(W)
@@ -485,5 +545,6 @@ def _feasible(closed: Array, W: Array, alpha: float) -> bool:
     try:
         _solve(problem, "feasibility")
     except InfeasibleError:
-        return False
-    return float(t.value) > 1e-6  # type: ignore[arg-type]
+        return None
+    margin = float(t.value)  # type: ignore[arg-type]
+    return margin > 0.0 if abs(margin) > 1e-6 else None

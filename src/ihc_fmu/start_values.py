@@ -91,4 +91,4 @@ def controller_start_values(
     model = nominal_values(parameter_set(nominal).parameters)
     model = {name: known[name] if name in changes else value for name, value in model.items()}
     values = design_values(design, smc, float(known["voltage_limit"])) | model
-    return values | kalman_values(model, float(known["sample_time"])) | changes
+    return {**values, **kalman_values(model, float(known["sample_time"])), **changes}

@@ -6,6 +6,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from fmu_export.errors import UserError
+from ihc_fmu import design as design_module
 from ihc_fmu.certificate import CertificateError
 from ihc_fmu.companion import chain_form, generator
 from ihc_fmu.design import Design, InfeasibleError, Options, direct_design, inverse_design, largest_alpha
@@ -191,8 +193,45 @@ def test_unstable_linear_controller_is_refused_with_its_pole(paper):
     A, b, _ = paper
     slowest = np.linalg.eigvals(A).real.max()
     for function in (inverse_design, largest_alpha):
-        with pytest.raises(ValueError, match=rf"k_lin must stabilize \(A, b\).* {slowest:.4g} 1/s"):
+        with pytest.raises(ValueError, match=rf"k_lin must stabilize \(A, b\).* {slowest:.4g} 1/s$"):
             function(A, b, np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("turn", "hint"),
+    [
+        (lambda A, b, k: (A, b, -k), "; -k_lin does: the law is u = +k_lin x here, not u = -K x"),
+        (lambda A, b, k: (A, -b, k), "; -k_lin does: the law is u = +k_lin x here, not u = -K x"),
+        (
+            lambda A, b, k: (A, b, k[[0, 2, 1, 3]]),
+            "; k_lin seems to be in the order (angle, rate, angle, rate), unlike A",
+        ),
+        (
+            lambda A, b, k: (A, b, -k[[0, 2, 1, 3]]),
+            "; k_lin seems to be in the order (angle, rate, angle, rate) and the sign of u = -K x, unlike A",
+        ),
+    ],
+)
+def test_a_gain_that_does_not_stabilize_is_refused_with_what_would(paper, turn, hint):
+    with pytest.raises(UserError) as refusal:
+        inverse_design(*turn(*map(np.array, paper)))
+    assert str(refusal.value).endswith(hint)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "numerical", "message"),
+    [
+        (None, True, "the solver cannot decide, numerically, for any alpha down to"),
+        (False, False, "the matrix inequalities have no solution for any alpha down to"),
+    ],
+)
+def test_the_search_for_the_largest_alpha_ends_where_none_is_feasible(paper, monkeypatch, verdict, numerical, message):
+    asked = []
+    monkeypatch.setattr(design_module, "_feasible", lambda _closed, _W, alpha: asked.append(alpha) or verdict)
+    with pytest.raises(InfeasibleError, match=message) as refusal:
+        largest_alpha(*paper)
+    assert refusal.value.numerical is numerical
+    assert len(asked) <= 21
 
 
 @pytest.mark.parametrize(

@@ -85,9 +85,23 @@ def test_friction_and_damping_are_found_through_the_encoders(swing_up):
     assert abs(found.bias.value) < RESOLUTION
     assert found.rms_after == pytest.approx(RESOLUTION / math.sqrt(12), rel=0.15)
     assert found.rms_before > 2 * found.rms_after
+    assert not found.disturbed
+    assert found.disturbance < 4e-3
     assert (found.segments, found.samples) == (40, 10_000)
     assert [number for number, _ in trials] == list(range(1, len(trials) + 1))
     assert trials[-1][1] == pytest.approx(found.rms_after, rel=0.05)
+
+
+def test_friction_cannot_be_told_from_a_disturbance_that_the_model_lacks(fmus):
+    """The paper's disturbance at G = 3 is 47 mV RMS; its interval for T_r does not hold the truth."""
+    sines = [{"amplitude": 0.02, "frequency": 10.0}, {"amplitude": 0.01, "frequency": 3.0}]
+    changes = {"plant.start.T_r": 2e-4, "disturbance.gain": 3.0, "disturbance.sines": sines, "run.seed": 2}
+    scenario, folder = load_scenario("swing_up")
+    found = identify(run_scenario(scenario.changed(changes), fmus, folder), IDENT)
+    assert found.estimates["T_r"].low > 2 * 2e-4
+    assert found.disturbed
+    assert found.disturbance == pytest.approx(0.047, rel=0.4)
+    assert {name for name, e in found.estimates.items() if not e.identifiable} == {"D_r", "T_r"}
 
 
 def test_with_ideal_sensors_inertias_too_are_found_exactly(exact):
@@ -97,6 +111,7 @@ def test_with_ideal_sensors_inertias_too_are_found_exactly(exact):
     expected = TRUE | {"J_r": IDENT.parameters.J_r, "J_p": IDENT.parameters.J_p}
     assert values(found) == pytest.approx(expected, rel=1e-3)
     assert found.rms_after < 1e-6
+    assert not found.disturbed
     assert abs(found.bias.value) < 1e-6
 
 

@@ -1,0 +1,93 @@
+"""Whose is a file that is about to be replaced? One that this project did not write stays.
+
+Every kind of file that is written for users says by what: JSON under "format", pictures and FMUs by the software that made
+them, texts in a comment. A table (CSV) has no place for that; it is known by the description (*.json, *.md) beside it, or by
+its heading.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+from .errors import UserError
+
+SOFTWARE = "qube-ihc"
+"""What files of a kind with a place for the software's name have there."""
+
+WRITTEN = f"written by {SOFTWARE}"
+"""What text files have in a comment at their beginning."""
+
+_HEAD = 1024
+_INSTANCES = ("controller.", "plant.", "hil.")
+_HEADINGS = (
+    "law,seed,",
+    "mu,u_max,a_min,b_max,",
+    "time,voltage,what",
+    "experiment,parameters,step,gain,variant,draw,",
+)
+"""Beginnings of tables' headings besides those of results."""
+
+
+def check_replaceable(*paths: Path) -> None:
+    """Raise UserError for the first of the files that exists and that this project did not write."""
+    for path in paths:
+        if path.is_file() and not is_ours(path):
+            raise UserError(f"{path} was not written by {SOFTWARE} and stays; choose another name or move that file")
+
+
+def is_ours(path: Path) -> bool:
+    """Return whether the file `path` is one that this project wrote, or of a kind that it does not write for users."""
+    kind = _KINDS.get(path.suffix.lower())
+    return kind is None or path.stat().st_size == 0 or kind(path)
+
+
+def _is_json(path: Path) -> bool:
+    try:
+        data = json.loads(path.read_bytes())
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(data, dict) and str(data.get("format", "")).startswith(f"{SOFTWARE} ")
+
+
+def _is_table(path: Path) -> bool:
+    for suffix in (".json", ".md"):
+        description = path.with_suffix(suffix)
+        if description.is_file() and is_ours(description):
+            return True
+    with path.open("rb") as file:
+        heading = file.readline().decode("utf-8", "replace").rstrip("\r\n")
+    time, *names = heading.split(",")
+    is_result = time == "time" and bool(names) and all(name.startswith(_INSTANCES) for name in names)
+    return is_result or heading.startswith(_HEADINGS)
+
+
+def _is_archive(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            inside = [name for name in ("modelDescription.xml", "SystemStructure.ssd") if name in archive.namelist()]
+            return any(SOFTWARE.encode() in archive.open(name).read(4 * _HEAD) for name in inside)
+    except (zipfile.BadZipFile, NotImplementedError, EOFError):
+        return False
+
+
+def _says(text: str) -> Callable[[Path], bool]:
+    def found(path: Path) -> bool:
+        with path.open("rb") as file:
+            return text.encode() in file.read(_HEAD)
+
+    return found
+
+
+_KINDS: dict[str, Callable[[Path], bool]] = {
+    ".json": _is_json,
+    ".csv": _is_table,
+    ".png": _says(f"Software\0{SOFTWARE}"),
+    ".fmu": _is_archive,
+    ".ssp": _is_archive,
+    ".toml": _says(WRITTEN),
+    ".md": _says(WRITTEN),
+    ".html": _says(WRITTEN),
+}

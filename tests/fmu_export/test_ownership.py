@@ -1,0 +1,78 @@
+"""A file that this project did not write is never replaced."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from cosim import parameter_files
+from cosim.plots import save_figure
+from cosim.results import Result
+from cosim.scenario import Scenario
+from fmu_export.errors import UserError
+from fmu_export.files import write_file
+from fmu_export.ownership import check_replaceable, is_ours
+from plant_fmu.parameters import PARAMETER_SETS
+
+
+def _zip(path: Path, **files: str) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, text in files.items():
+            archive.writestr(name.replace("__", "."), text)
+
+
+def _result(path: Path) -> None:
+    Result(np.zeros(1), {"tiny.y": np.zeros(1)}, {"tiny.y": "1"}).save(path)
+
+
+OURS = {
+    "result.csv": _result,
+    "result.json": lambda path: _result(path.with_suffix(".csv")),
+    "picture.png": lambda path: save_figure(Figure(), path, ""),
+    "set.toml": lambda path: parameter_files.save(path, PARAMETER_SETS["ident"]),
+    "scenario.toml": lambda path: write_file(path, Scenario().to_toml()),
+    "comparison.csv": lambda path: write_file(path, "law,seed,settling_time\n"),
+    "torn.csv": lambda path: write_file(path, "time,controller.voltage,plant.theta\n"),
+    "empty.json": lambda path: path.touch(),
+    "library.so": lambda path: path.write_bytes(b"of no kind that is written for users"),
+}
+FOREIGN = {
+    "cartpole.json": lambda path: path.write_text('{"A": [[0, 1], [0, 0]]}', encoding="utf-8"),
+    "list.json": lambda path: path.write_text("[1, 2]", encoding="utf-8"),
+    "broken.json": lambda path: path.write_text('{"format": "qube-ihc', encoding="utf-8"),
+    "measured.csv": lambda path: path.write_text("time,speed\n0,1\n", encoding="utf-8"),
+    "other_tool.csv": lambda path: path.write_text("time,root.plant.theta\n", encoding="utf-8"),
+    "photo.png": lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n, of the qube-ihc set-up"),
+    "QubeServo2.fmu": lambda path: _zip(path, modelDescription__xml='<fmiModelDescription generationTool="Dymola"/>'),
+    "no_zip.fmu": lambda path: path.write_bytes(b"qube-ihc"),
+    "mine.toml": lambda path: path.write_text("# for qube-ihc run\n", encoding="utf-8"),
+    "notes.md": lambda path: path.write_text("qube-ihc is fine", encoding="utf-8"),
+}
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_what_was_written_before_is_replaced(tmp_path, name):
+    OURS[name](tmp_path / name)
+    check_replaceable(tmp_path / name, tmp_path / "missing.json")
+    write_file(tmp_path / name, "new")
+    assert (tmp_path / name).read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_the_file_of_somebody_else_stays(tmp_path, name):
+    path = tmp_path / name
+    FOREIGN[name](path)
+    before = path.read_bytes()
+    with pytest.raises(UserError) as refusal:
+        write_file(path, "new")
+    assert str(refusal.value) == f"{path} was not written by qube-ihc and stays; choose another name or move that file"
+    assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == [name]
+
+
+def test_exported_files_are_known(fmus, native_fmus):
+    assert all(is_ours(path) for path in (*fmus.values(), *native_fmus.values()))
