@@ -11,11 +11,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-<<<<<<< HEAD
 from fmu_export.files import is_file, is_folder
-=======
 from fmu_export.ownership import WRITTEN
->>>>>>> model
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.interface import VELOCITY_SOURCES
