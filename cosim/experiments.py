@@ -13,9 +13,10 @@ import numpy as np
 from fmu_export.files import write_file
 
 from .campaign import Job, run_all
-from .master import Coupling
+from .master import Coupling, step_count
 from .metrics import NAMES, Metrics, evaluate
 from .results import Result
+from .room import check_rows
 from .scenario import Scenario, build_system
 
 LAWS = ("LC", "SMC", "IHC")
@@ -96,7 +97,11 @@ def compare(
     raises; on that, and on Ctrl-C, runs that have not begun are dropped and running ones stopped.
     """
     for study in studies:  # says what cannot work before anything runs
-        Coupling(build_system(study.scenario, fmus, study.folder))
+        coupling = Coupling(build_system(study.scenario, fmus, study.folder))
+        run, record = study.scenario.run, study.scenario.record
+        columns = len(coupling.checked_outputs(record.outputs))
+        runs = len(laws) * len(study.seeds or [None])
+        check_rows(step_count(run.step, run.duration) // record.every + 2, columns, record.every, runs)
     jobs = [
         Job((s, law, seed), study.scenario.changed(_changes(law, seed)), study.folder)
         for s, study in enumerate(studies)

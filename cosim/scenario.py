@@ -71,7 +71,9 @@ class RunSection(_Section):
 class PlantSection(_Section):
     """The plant FMU."""
 
-    fmu: PlainName = Field("QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario")
+    fmu: PlainName = Field(
+        "QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario"
+    )
     parameters: str | None = Field(
         "ident",
         description=f"named set: {', '.join(PARAMETER_SETS)}; or a file *.toml, beside the scenario or in the current "
@@ -142,7 +144,9 @@ class RecordSection(_Section):
     """What is kept."""
 
     outputs: tuple[str, ...] | None = Field(None, description="outputs as instance.variable; none: all")
-    every: int = Field(1, ge=1, strict=True, description="keep every n-th communication point, and the first and the last")
+    every: int = Field(
+        1, ge=1, strict=True, description="keep every n-th communication point, and the first and the last"
+    )
 
 
 class Scenario(_Section):
@@ -218,9 +222,7 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def build_system(
-    scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None
-) -> System:
+def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
     `controller` is the file of a controller FMU that the user named, in the place of the scenario's.
@@ -279,9 +281,16 @@ def random_measurement(seed: int) -> dict[str, StartValue]:
 
 
 def run_scenario(
-    scenario: Scenario, fmus: Path, folder: Path | None = None, progress: Callable[[int, int], None] | None = None
+    scenario: Scenario,
+    fmus: Path,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    target: Path | None = None,
 ) -> Result:
-    """Run `scenario` and return its result, whose metadata holds it; raises as `simulate`."""
+    """Run `scenario` and return its result, whose metadata holds it; raises as `simulate`.
+
+    `target` is the folder that the result will be written to, which must have room for it.
+    """
     from .master import simulate  # noqa: PLC0415
 
     run = scenario.run
@@ -295,6 +304,7 @@ def run_scenario(
         every=scenario.record.every,
         metadata={"scenario": scenario.model_dump(mode="json")},
         progress=progress,
+        folder=target,
     )
 
 

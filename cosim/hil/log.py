@@ -18,9 +18,15 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, StrictStr
+
+from fmu_export.reading import decoded, parse_json
 
 from ..errors import UserError
+from ..provenance import Provenance
 from ..results import Result
+from ..room import check_disk, check_memory
+from ..typed import Positive, checked
 from .scaling import RESOLUTION, delta_of, theta_of
 
 MAGIC = b"QUBEROWS"
@@ -31,6 +37,10 @@ TIMING = ("tick", "due", "woke", "latency", "step_time", "steps", "arm", "pendul
 the command and within the controller [ns]; how often the controller was stepped; raw counts and bits."""
 MEASURED = ("current", "tachometer", "applied_voltage")
 """Real columns of a row: [A], [counts/s], and the voltage that was in force until this row [V]."""
+
+
+COPIES = 3
+"""How many times the size of a log is in memory when its result is made."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +59,8 @@ class Layout:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The columns in the order of a row, without the number."""
-        return (*TIMING, *MEASURED, *self.reals, *self.integers)
+        """The columns in the order of a row, without the number; the controller's cannot be taken for the others."""
+        return (*TIMING, *MEASURED, *(f"controller.{name}" for name in (*self.reals, *self.integers)))
 
 
 class RowLog:
@@ -66,6 +76,9 @@ class RowLog:
         ).encode()
         self.begin = _HEAD.size + len(header)
         size = self.begin + rows * self.struct.size
+        hint = "a shorter duration or a lower rate would do"
+        check_disk("the run's log", size, path.parent, hint)
+        check_memory("the run's log, and the result made of it,", COPIES * size, hint)
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             self._file = self.path.open("x+b")
@@ -148,22 +161,38 @@ class LiveLog:
 
 
 def _read_header(buffer: mmap.mmap | bytes, path: Path) -> tuple[Layout, dict[str, Any], int]:
-    try:
-        magic, length = _HEAD.unpack_from(buffer)
-        begin = _HEAD.size + length
-        if magic != MAGIC or begin > len(buffer):
-            raise ValueError
-        header = json.loads(bytes(buffer[_HEAD.size : begin]))
-        layout, about = Layout(tuple(header["reals"]), tuple(header["integers"]), header["units"]), header["about"]
-    except (struct.error, ValueError, KeyError, TypeError):
-        raise UserError(f"{path} is not the log of a run") from None
-    return layout, about, begin
+    magic, length = _HEAD.unpack_from(buffer) if len(buffer) >= _HEAD.size else (b"", 0)
+    begin = _HEAD.size + length
+    if magic != MAGIC or begin > len(buffer):
+        raise UserError(f"{path} is not the log of a run")
+    data = parse_json(decoded(bytes(buffer[_HEAD.size : begin]), path), path)
+    header = checked(_Header, data, path)
+    names = [*header.reals, *header.integers]
+    if len(set(names)) < len(names) or set(names) != header.units.keys():
+        raise UserError(f"{path}: reals and integers must name each of the units' outputs once")
+    return Layout(header.reals, header.integers, header.units), data["about"], begin
+
+
+class _Run(Provenance):
+    """What a result says of itself, with the step that a log's rows need."""
+
+    step: Positive
+
+
+class _Header(BaseModel):
+    """The JSON at the beginning of a log."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    reals: tuple[StrictStr, ...]
+    integers: tuple[StrictStr, ...]
+    units: dict[StrictStr, StrictStr]
+    about: _Run
 
 
 def rows_of(content: bytes, path: Path) -> tuple[Layout, dict[str, Any], np.ndarray]:
     """Return layout, header and the finished rows of a log's bytes, as a structured array by column."""
     layout, about, begin = _read_header(content, path)
-    whole = set(TIMING) | set(layout.integers)
+    whole = {*TIMING, *(f"controller.{name}" for name in layout.integers)}
     types = [(name, "<i8" if name in whole else "<f8") for name in layout.names]
     dtype = np.dtype([*types, ("number", "<u8")])
     room = (len(content) - begin) // dtype.itemsize
@@ -183,7 +212,7 @@ def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Res
     ticks = rows["tick"] - rows["tick"][0]
     signals: dict[str, np.ndarray] = {}
     for name in layout.units:  # in the controller's own order
-        signals[f"controller.{name}"] = rows[name].copy()
+        signals[f"controller.{name}"] = rows[f"controller.{name}"].copy()
     units = {f"controller.{name}": unit for name, unit in layout.units.items()}
 
     def add(name: str, unit: str, values: np.ndarray) -> None:

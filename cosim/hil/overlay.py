@@ -13,6 +13,7 @@ from ..errors import UserError
 from ..master import Component, System, simulate
 from ..metrics import wrapped
 from ..parameter_files import chosen
+from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
 from .replay import MEASURED
@@ -52,10 +53,10 @@ def resimulate(
     middle of a count, since nobody knows where inside one the device's were. Raises UserError for a log without start
     values.
     """
-    try:
-        start, step = result.metadata["start_values"]["controller"], result.metadata["step"]
-    except (KeyError, TypeError):
-        raise UserError("the log does not say with which start values it was made") from None
+    about = provenance(result)
+    start, step = about.start_values.get("controller"), about.step
+    if start is None or step is None:
+        raise UserError("the log does not say with which start values it was made")
     rows = np.flatnonzero(result.time >= begin - 1e-9)
     if rows.size < 2:
         raise UserError(f"the log must go on after {begin:g} s, it ends at {_end(result):g} s")

@@ -8,6 +8,8 @@ from __future__ import annotations
 import codecs
 import json
 import math
+import os
+import stat
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -28,14 +30,21 @@ def read_bytes(path: Path, what: str, most: int = MOST_BYTES) -> bytes:
     """Return the bytes of a file; raise UserError, which calls the file `what`, for a missing or too large one."""
     try:
         with path.open("rb") as file:
-            content = file.read(most + 1)
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):  # a pipe or a device, which may have any number of bytes
+                most = min(most, MOST_BYTES)
+                content = file.read(most + 1)
+            elif status.st_size <= most:
+                content = file.read()
+            else:
+                content = None
     except FileNotFoundError:
         raise UserError(f"{what} file {path} does not exist") from None
     except OSError as error:
         raise UserError(f"{what} file {path} cannot be read: {error.strerror}") from None
     except ValueError:  # a NUL character
         raise UserError(f"{what} file {str(path)!r} cannot be: no file has such a name") from None
-    if len(content) > most:
+    if content is None or len(content) > most:
         raise UserError(f"{what} file {path} must not be larger than {most >> 20} MiB")
     return content
 

@@ -86,8 +86,8 @@ def test_what_is_no_file_of_numbers_is_refused(tmp_path):
         parameter_files.load(tmp_path / "nowhere.toml")
     (tmp_path / "text.toml").write_text("m_p 3", encoding="utf-8")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
-    for name in ("text", "bytes"):
-        with pytest.raises(UserError, match=rf"{name}\.toml is not TOML"):
+    for name, problem in (("text", "is not TOML"), ("bytes", "must be text in UTF-8")):
+        with pytest.raises(UserError, match=rf"{name}\.toml {problem}"):
             parameter_files.load(tmp_path / f"{name}.toml")
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(UserError, match="cannot be read: Is a directory"):
