@@ -26,7 +26,7 @@ from ..errors import UserError
 from ..provenance import Provenance
 from ..results import Result
 from ..room import check_disk, check_memory
-from ..typed import Positive, checked
+from ..typed import checked
 from .scaling import RESOLUTION, delta_of, theta_of
 
 MAGIC = b"QUBEROWS"
@@ -167,16 +167,12 @@ def _read_header(buffer: mmap.mmap | bytes, path: Path) -> tuple[Layout, dict[st
         raise UserError(f"{path} is not the log of a run")
     data = parse_json(decoded(bytes(buffer[_HEAD.size : begin]), path), path)
     header = checked(_Header, data, path)
+    if header.about.step is None:
+        raise UserError(f"{path}: about.step is required")
     names = [*header.reals, *header.integers]
     if len(set(names)) < len(names) or set(names) != header.units.keys():
         raise UserError(f"{path}: reals and integers must name each of the units' outputs once")
     return Layout(header.reals, header.integers, header.units), data["about"], begin
-
-
-class _Run(Provenance):
-    """What a result says of itself, with the step that a log's rows need."""
-
-    step: Positive
 
 
 class _Header(BaseModel):
@@ -186,7 +182,7 @@ class _Header(BaseModel):
     reals: tuple[StrictStr, ...]
     integers: tuple[StrictStr, ...]
     units: dict[StrictStr, StrictStr]
-    about: _Run
+    about: Provenance
 
 
 def rows_of(content: bytes, path: Path) -> tuple[Layout, dict[str, Any], np.ndarray]:
