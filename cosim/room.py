@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shutil
 import sys
@@ -41,16 +42,19 @@ def check_rows(rows: int, columns: int, every: int, runs: int = 1, folder: Path 
     size = 8 rows (columns + 1) runs in memory; `every` is the record.every that they were counted with; a `folder` is
     where one of them is written as CSV.
     """
-    size = 8.0 * rows * (columns + 1) * runs
+    numbers = float(rows) * (columns + 1)
+    size, text = 8.0 * numbers * runs, BYTES_IN_CSV * numbers
     if size < SMALL:
         return
     free = free_memory()
-    fitting = every if free is None else -int(-every * size // (0.9 * SHARE * free))
+    parts = [] if free is None else [size / (SHARE * free)]
+    parts += [] if folder is None else [text / free_disk(folder)]
+    fitting = max(every + 1, math.ceil(1.1 * every * max(parts, default=0.0)))
     what = f"{f'{runs} runs' if runs > 1 else 'the run'} of {rows} rows of {columns + 1} numbers"
-    hint = f"record.every = {max(fitting, every + 1)}, fewer record.outputs or a shorter run.duration would do"
+    hint = f"record.every = {fitting}, fewer record.outputs or a shorter run.duration would do"
     check_memory(what, size, hint)
     if folder is not None:
-        check_disk(f"writing {what}", float(BYTES_IN_CSV) * rows * (columns + 1), folder, hint)
+        check_disk(f"writing {what}", text, folder, hint)
 
 
 def free_disk(folder: Path) -> int:
@@ -58,7 +62,7 @@ def free_disk(folder: Path) -> int:
     place = folder.absolute()
     while not place.exists() and place != place.parent:
         place = place.parent
-    return shutil.disk_usage(place).free
+    return max(1, shutil.disk_usage(place).free)
 
 
 def free_memory() -> int | None:

@@ -72,7 +72,8 @@ class PlantSection(_Section):
     """The plant FMU."""
 
     fmu: PlainName = Field(
-        "QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario"
+        "QubeServo2.fmu",
+        description="name of a file in the folder given to the command or beside the scenario; no path",
     )
     parameters: str | None = Field(
         "ident",
@@ -89,7 +90,8 @@ class ControllerSection(_Section):
     """The controller FMU."""
 
     fmu: PlainName = Field(
-        "IhcController.fmu", description="file, in the folder given to the command or beside the scenario"
+        "IhcController.fmu",
+        description="name of a file in the folder given to the command or beside the scenario; no path",
     )
     design: str | None = Field(
         None, description="design file beside the scenario; none: the design exported in the FMU"
