@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo paper test lint bench clean
+.PHONY: demo paper test lint versions bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
@@ -19,6 +19,9 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
+versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
+	$(BIN)/python -m tests.environments
+
 bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it; the hardware loop's timing
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks.native_pair
@@ -27,9 +30,11 @@ bench: $(VENV)/installed   ## speed against one C program and against other tool
 SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_export/adapter/*.[ch] cosim/native/*.[ch])
 
 $(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from PyPI
+	@echo "Installing into $(VENV): libraries, test tools and, compiled with Zig, the native units. A few minutes the first time."
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	touch $@
+	@touch $@
+	@echo "Installed."
 
 clean:
 	rm -rf $(VENV) results fmus/*.fmu

@@ -6,12 +6,22 @@ import hashlib
 import json
 import math
 import os
+import secrets
+import sqlite3
 import threading
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import IO, Any, Generic, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
+
+import cosim
+import fmu_export
+import ihc_fmu
+import plant_fmu
+from fmu_export.reading import first_bytes, read_bytes
 
 from . import parameter_files
 from .errors import SimulationError, UserError
@@ -20,7 +30,14 @@ from .interrupts import second_ends
 from .results import Result, versions
 from .scenario import Scenario, files, run_scenario
 
-JOURNAL_FORMAT = "qube-ihc journal 1"
+APPLICATION, VERSION = 0x51554245, 2
+"""What tells a journal from another SQLite file: "QUBE", and the version of its format."""
+
+SQLITE_HEAD = b"SQLite format 3\0"
+EARLIER_JOURNAL = b"qube-ihc journal"
+
+PATIENCE = 60.0
+"""How long a process waits for another one that writes to the journal [s]."""
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
@@ -46,12 +63,14 @@ def run_all(
     progress: Callable[[int, int], None] | None = None,
     done: Callable[[Job[K], T], None] | None = None,
     failed: Callable[[SimulationError], T] | None = None,
+    skip: Callable[[Job[K]], tuple[bool, T]] | None = None,
 ) -> dict[K, T]:
     """Run every job in `workers` threads (None: one per core); return what `finish` makes of each result, by key.
 
     Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run.
-    `done` and `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed`
-    turns the failure of an FMU into a value; on that, and on Ctrl-C, jobs that have not begun are dropped and running
+    `skip` is asked there before a run begins, and returns whether to leave it out and the value in its place. `done` and
+    `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed` turns the
+    failure of an FMU into a value; on that, and on Ctrl-C, jobs that have not begun are dropped and running
     ones stopped at their next look. Raises ValueError where two jobs have the same key.
     """
     if len({job.key for job in jobs}) < len(jobs):
@@ -66,6 +85,10 @@ def run_all(
 
     def run(job: Job[K]) -> T:
         look()
+        if skip is not None:
+            left_out, value = skip(job)
+            if left_out:
+                return value
         try:
             return finish(run_scenario(job.scenario, fmus, job.folder, look))
         except SimulationError as error:
@@ -100,89 +123,163 @@ def _anchored(job: Job[K]) -> Job[K]:
 
 
 class Journal:
-    """Finished runs' numbers in a file of JSON lines, each under a digest of all that decides them.
+    """Finished runs' numbers in an SQLite file, each under a digest of all that decides them, with a checksum.
 
-    A line is written when its run is finished; a last line that was cut short is dropped. Numbers of runs whose scenario,
-    design, parameter file or FMUs have changed since are not found again. The file is made with the first line.
+    Numbers are in the file when `keep` returns, and several processes may use one file at a time: each finds what the
+    others have kept. Numbers of runs whose scenario, design, parameter file or FMUs, or the code that turns them into
+    numbers, have changed since are not found again. The file is made with the first numbers.
     """
 
     def __init__(self, path: Path, purpose: str) -> None:
-        """Read the journal `path` where it exists; raise UserError where the file is something else.
+        """Open the journal `path` where it exists; raise UserError where the file is something else or damaged.
 
         `purpose` names how results became numbers; numbers of another purpose are not found.
         """
         self.path, self.purpose = path, purpose
         self._place = path.absolute()  # FMPy changes the folder of the whole process while it loads a library
-        self.known: dict[str, dict[str, float]] = {}
-        self._file: IO[bytes] | None = None
-        try:
-            lines = path.read_bytes().splitlines(keepends=True)
-        except FileNotFoundError:
-            lines = []
-        head = lines[0].rstrip(b"\r\n") if lines else b""
-        begun = lines in ([], [head]) and JOURNAL_FORMAT.encode().startswith(head)
-        if head != JOURNAL_FORMAT.encode() and not begun:
-            raise UserError(f"{path} is not a journal of the format {JOURNAL_FORMAT!r}; delete or rename it")
-        if lines and not lines[-1].endswith(b"\n"):
-            lines.pop()
-        for number, line in enumerate(lines[1:], start=2):
-            self.known.update([self._read(line, number)])
-        self._whole = sum(map(len, lines))
-
-    def _read(self, line: bytes, number: int) -> tuple[str, dict[str, float]]:
-        try:
-            digest, numbers = json.loads(line)
-            return str(digest), {str(n): math.nan if v is None else _as_float(v) for n, v in numbers.items()}
-        except (ValueError, TypeError, AttributeError):
-            raise UserError(
-                f"{self.path}: line {number} is not [digest, numbers]; delete the line or the file"
-            ) from None
+        self._owner = secrets.token_hex(8)
+        self._lock = threading.Lock()  # `found` is called in the threads of the runs
+        self._file: sqlite3.Connection | None = None
+        head = first_bytes(path, "journal", len(SQLITE_HEAD)) if path.exists() else b""
+        if head.startswith(EARLIER_JOURNAL):
+            raise UserError(f"{path} is a journal of an earlier version, in lines of JSON; delete or rename it")
+        if head not in (b"", SQLITE_HEAD):
+            raise UserError(f"{path} is not a journal of finished runs; delete or rename it")
+        if head:
+            with self._opened():
+                pass
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None
 
+    @property
+    def known(self) -> dict[str, dict[str, float]]:
+        """All numbers by digest; raises as `found`."""
+        if self._file is None:
+            return {}
+        with self._opened() as file:
+            rows = file.execute("SELECT digest, numbers, checksum FROM runs ORDER BY rowid").fetchall()
+        return {row[0]: self._numbers(*row) for row in rows}
+
+    def found(self, digest: str) -> dict[str, float] | None:
+        """Return the numbers kept under `digest`; raises UserError where they do not fit their checksum."""
+        if self._file is None:
+            return None
+        with self._opened() as file:
+            row = file.execute("SELECT digest, numbers, checksum FROM runs WHERE digest = ?", (digest,)).fetchone()
+        return None if row is None else self._numbers(*row)
+
+    def claim(self, digest: str) -> bool:
+        """Say that this process now runs `digest`; return False where another process has said so before.
+
+        The other may have been killed since, so that a claim only means: this run can wait until all others are done.
+        """
+        with self._opened() as file:
+            file.execute("INSERT OR IGNORE INTO claims VALUES (?, ?)", (digest, self._owner))
+            (owner,) = file.execute("SELECT owner FROM claims WHERE digest = ?", (digest,)).fetchone()
+        return owner == self._owner
+
+    def keep(self, digest: str, numbers: Numbers) -> None:
+        """Keep the numbers of a finished run."""
+        text = json.dumps({name: None if math.isnan(value) else value for name, value in numbers.items()})
+        with self._opened() as file:
+            file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)", (digest, text, _checksum(digest, text)))
+            file.execute("DELETE FROM claims WHERE digest = ?", (digest,))
+
     def digest(self, job: Job[Any], fmus: Path) -> str:
-        """Return what the job's numbers are kept under: a hash of purpose, versions, scenario, FMUs and files."""
-        about = hashlib.sha256(f"{self.purpose} {dict(versions())}".encode())
+        """Return what the job's numbers are kept under: a hash of purpose, code, versions, scenario, FMUs and files."""
+        about = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
         about.update(job.scenario.model_dump_json().encode())
         plant, controller, design = files(job.scenario, fmus, job.folder)
         for fmu in (plant, controller):
             about.update(str(describe(fmu)[1].guid).encode())
         parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
         for what, file in (("design", design), ("parameter", parameters)):
-            try:
-                about.update(b"" if file is None else file.read_bytes())
-            except FileNotFoundError:
-                raise UserError(f"{what} file {file} does not exist") from None
+            about.update(b"" if file is None else read_bytes(file, what))
         return about.hexdigest()[:32]
 
-    def keep(self, digest: str, numbers: Numbers) -> None:
-        """Append the numbers of a finished run."""
-        self.known[digest] = dict(numbers)
-        safe = {name: None if math.isnan(value) else value for name, value in numbers.items()}
-        file = self._opened()
-        file.write(json.dumps([digest, safe]).encode() + b"\n")
-        file.flush()
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        """Give the open file as one transaction; what SQLite has to say becomes a UserError that names the file."""
+        try:
+            with self._lock:
+                if self._file is None:
+                    self._file = self._connected()
+                with self._file:
+                    yield self._file
+        except (sqlite3.DatabaseError, OSError) as error:
+            raise UserError(f"the journal {self.path} is damaged or cannot be used: {error}") from None
 
-    def _opened(self) -> IO[bytes]:
-        if self._file is None:
-            self._place.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self._place.open("ab")
-            self._file.truncate(self._whole)
-            if not self._whole:
-                self._file.write(JOURNAL_FORMAT.encode() + b"\n")
-        return self._file
+    def _connected(self) -> sqlite3.Connection:
+        self._place.parent.mkdir(parents=True, exist_ok=True)
+        file = sqlite3.connect(self._place, timeout=PATIENCE, check_same_thread=False)
+        try:
+            with file:
+                file.execute("BEGIN IMMEDIATE")
+                if not file.execute("SELECT count(*) FROM sqlite_master").fetchone()[0]:
+                    file.execute("CREATE TABLE runs (digest TEXT PRIMARY KEY, numbers TEXT, checksum TEXT)")
+                    file.execute("CREATE TABLE claims (digest TEXT PRIMARY KEY, owner TEXT)")
+                    file.execute(f"PRAGMA application_id = {APPLICATION}")
+                    file.execute(f"PRAGMA user_version = {VERSION}")
+                (kind,) = file.execute("PRAGMA application_id").fetchone()
+                (version,) = file.execute("PRAGMA user_version").fetchone()
+                if (kind, version) != (APPLICATION, VERSION):
+                    raise UserError(f"{self.path} is not a journal of finished runs; delete or rename it")
+            with suppress(sqlite3.OperationalError):  # another process has it open; otherwise a write costs no wait
+                file.execute("PRAGMA journal_mode = WAL")
+            file.execute("PRAGMA synchronous = NORMAL")
+        except BaseException:
+            file.close()
+            raise
+        return file
+
+    def _numbers(self, digest: str, text: str, checksum: str) -> dict[str, float]:
+        if _checksum(digest, text) != checksum:
+            raise UserError(
+                f"the journal {self.path} is damaged: numbers do not fit their checksum; delete or rename it"
+            )
+        return {name: math.nan if value is None else float(value) for name, value in json.loads(text).items()}
 
 
-def _as_float(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    return float(value)
+def _checksum(digest: str, text: str) -> str:
+    return hashlib.sha256(f"{digest} {text}".encode()).hexdigest()[:16]
+
+
+def code_files() -> list[Path]:
+    """Return the sources that turn a scenario and its FMUs into numbers: this project's Python, and the loop in C.
+
+    The FMUs' own code counts by their GUIDs.
+    """
+    packages = [Path(package.__path__[0]) for package in (cosim, fmu_export, ihc_fmu, plant_fmu)]
+    loop = Path(cosim.__path__[0]) / "native"
+    return [
+        file for folder, ending in [(p, "*.py") for p in packages] + [(loop, "*.[ch]")] for file in folder.rglob(ending)
+    ]
+
+
+@cache
+def code_digest() -> str:
+    """Return the digest of `code_files`."""
+    digest = hashlib.sha256()
+    for text in sorted(file.read_bytes() for file in code_files()):
+        digest.update(hashlib.sha256(text).digest())
+    return digest.hexdigest()
+
+
+@cache
+def _scipy() -> str:
+    from importlib.metadata import version  # noqa: PLC0415
+
+    return version("scipy")  # solves for the Kalman filter's gain
 
 
 def counted(numbers: Numbers, name: str) -> float:
@@ -204,21 +301,33 @@ def run_numbers(
     A run that an FMU ends with an error has no numbers: an empty mapping, kept too. Otherwise as `run_all`.
     """
     digests = {job.key: journal.digest(job, fmus) for job in jobs}
-    missing = [job for job in jobs if digests[job.key] not in journal.known]
-    before = len(jobs) - len(missing)
+    known = {job.key: journal.found(digests[job.key]) for job in jobs}
+    numbers = {key: found for key, found in known.items() if found is not None}
+    todo = [job for job in jobs if job.key not in numbers]
 
-    def report(done: int, _total: int) -> None:
+    def report() -> None:
         if progress is not None:
-            progress(before + done, len(jobs))
+            progress(len(numbers), len(jobs))
 
-    report(0, 0)
-    run_all(
-        missing,
-        fmus,
-        evaluate,
-        workers,
-        report,
-        done=lambda job, numbers: journal.keep(digests[job.key], numbers),
-        failed=lambda _error: {},
-    )
-    return {job.key: journal.known[digests[job.key]] for job in jobs}
+    def done(job: Job[K], found: Numbers | None) -> None:
+        if found is not None:
+            if journal.found(digests[job.key]) is None:
+                journal.keep(digests[job.key], found)
+            numbers[job.key] = dict(found)
+            report()
+
+    def first(job: Job[K]) -> tuple[bool, Numbers | None]:
+        """Skip what another process has done, and what it has begun."""
+        found = journal.found(digests[job.key])
+        return (True, found) if found is not None or not journal.claim(digests[job.key]) else (False, None)
+
+    def again(job: Job[K]) -> tuple[bool, Numbers | None]:
+        """Skip what another process has done meanwhile; whoever began the rest may be gone."""
+        found = journal.found(digests[job.key])
+        return found is not None, found
+
+    report()
+    for skip in (first, again):
+        todo = [job for job in todo if job.key not in numbers]
+        run_all(todo, fmus, evaluate, workers, done=done, failed=lambda _error: {}, skip=skip)
+    return {job.key: numbers[job.key] for job in jobs}

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import math
+import secrets
 import sys
 from contextlib import nullcontext
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from . import signals
 from .display import (
     console,
+    degrade_output,
+    escaped,
     print_claims,
     print_comparison,
     print_design,
@@ -21,6 +27,8 @@ from .display import (
     print_tuning,
     progress,
     say_error,
+    say_fault,
+    say_notes,
     staged_progress,
     warn_of_messages,
 )
@@ -33,8 +41,10 @@ from .toml_files import read_toml
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-FAILED = 1
-USAGE = 2
+    from .results import Result
+
+FAILED, USAGE, FAULT, CTRL_C = 1, 2, 70, 130
+"""Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -58,20 +68,55 @@ class Method(StrEnum):
 hil_commands.register(app)
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        console.print(f"qube-ihc {importlib.metadata.version('qube-ihc')}", highlight=False)
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of every error.")] = False,
+) -> None:
+    """Take the options that stand before a command; `main` has seen to --debug."""
+
+
 def main() -> None:
-    """Run the command line; a user's mistake is one sentence and exit code 2, a failed run 1, Ctrl-C 130."""
+    """Run the command line; its exit code says how it ended.
+
+    0: well; 1: a run, a device or a compiler failed; 2: the user's mistake, in one sentence; 70: a fault of this program,
+    with its traceback; 128 + n: signal n. The option --debug may stand anywhere and shows the traceback of every error.
+    """
     from fmu_export.native_build import BuildError
 
+    from .fmu import FmuError
     from .hil.device import DeviceError
 
+    signals.as_ctrl_c()
+    degrade_output()
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    debug = len(arguments) < len(sys.argv) - 1
     try:
-        app()
-    except (SimulationError, ArithmeticError, BuildError, DeviceError) as error:
-        say_error(error)
-        sys.exit(FAILED)
-    except (UserError, ValueError, OSError) as error:
-        say_error(error)
+        app(arguments)
+    except SystemExit as end:
+        if end.code == CTRL_C:  # Typer makes this of a KeyboardInterrupt
+            sys.exit(signals.exit_code())
+        raise
+    except UserError as error:
+        say_error(error, traceback=debug)
         sys.exit(USAGE)
+    except (SimulationError, FmuError, BuildError, DeviceError) as error:
+        say_error(error, traceback=debug)
+        sys.exit(FAILED)
+    except MemoryError as error:
+        say_error(error, "there is not enough memory", traceback=debug)
+        sys.exit(FAILED)
+    except Exception as error:
+        say_fault(error)
+        sys.exit(FAULT)
 
 
 @app.command()
@@ -120,7 +165,7 @@ def design(
     found.save(output)
     print_design(found)
     console.print(f"largest feasible alpha for this k_lin and mu: {largest_alpha(A, b, found.k_lin, mu):.4g} 1/s")
-    console.print(f"wrote {output}")
+    console.print(f"wrote {escaped(output)}")
 
 
 def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
@@ -184,6 +229,9 @@ def export(
             "none: this machine's. Others are compiled now, which the first time takes minutes."
         ),
     ] = None,
+    other_model: Annotated[
+        bool, typer.Option("--other-model", help="Export a design for another model than the plant's all the same.")
+    ] = False,
 ) -> None:
     """Export plant and controller as FMUs (FMI 2.0), and both with their wires as one SSP file.
 
@@ -202,17 +250,18 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
-    with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names)
+    with console.status("building") if names else nullcontext() as status:
+        building = None if status is None else lambda what: status.update(f"building {what}")
+        paths = export_units(
+            found, parameters, nominal, output, changes, smc, kind, names, building, other_model=other_model
+        )
     for path in paths:
-        console.print(f"wrote {path}")
+        console.print(f"wrote {escaped(path)}")
 
 
 def _load_design(path: Path) -> Design:
     from ihc_fmu.design import Design
 
-    if not path.is_file():
-        raise UserError(f"design file {path} does not exist")
     return Design.load(path)
 
 
@@ -237,7 +286,7 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from .metrics import can_evaluate
-    from .scenario import load_scenario, run_scenario
+    from .scenario import build_system, load_scenario, remarks, run_scenario
 
     chosen, folder = load_scenario(scenario)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -245,6 +294,7 @@ def run(
     path = output or Path("results") / f"{chosen.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
+    say_notes(remarks(build_system(chosen, fmus, folder)))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -257,19 +307,36 @@ def run(
             )
         except (SimulationError, Interrupted) as stopped:
             if len(stopped.result.time):
-                partial = path.with_suffix(".partial.csv")  # an earlier complete result stays
-                stopped.result.save(partial)
-                bar.console.print(f"wrote what was recorded until then, {len(stopped.result.time)} rows, to {partial}")
+                partial = _save(stopped.result, path.with_suffix(".partial.csv"))  # an earlier complete result stays
+                count = len(stopped.result.time)
+                bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
             raise
+        _save(result, path)
     warn_of_messages(result)
-    result.save(path)
-    console.print(f"wrote {path} and {path.with_suffix('.json')}")
+    console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:
         from .plots import save_overview
 
-        console.print(f"wrote {save_overview(result, path.with_suffix('.png'), chosen.description or chosen.name)}")
+        picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
+        console.print(f"wrote {escaped(picture)}")
     if can_evaluate(result):
         print_metrics(result)
+
+
+def _save(result: Result, path: Path) -> Path:
+    """Write a result; where that fails, as on a full disk, write it to the temporary folder and raise with its place."""
+    import tempfile
+
+    try:
+        result.save(path)
+    except UserError as error:
+        rescued = Path(tempfile.gettempdir()) / f"qube-ihc-rescued-{secrets.token_hex(4)}" / path.name
+        try:
+            result.save(rescued)
+        except UserError:
+            raise error from None
+        raise UserError(f"{error}; the rows are in {rescued}") from None
+    return path
 
 
 @app.command()
@@ -279,7 +346,13 @@ def compare(
         typer.Argument(help=f"{SCENARIO_HELP} Or results of `run` or `hil` (*.csv)."),
     ],
     laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
-    draws: Annotated[int, typer.Option(min=0, help="Random encoder offsets per law; 0: the scenario's own, once.")] = 5,
+    draws: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once.",
+        ),
+    ] = 32,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
@@ -287,12 +360,12 @@ def compare(
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
-    """Run a scenario with each law and draw, print the medians as a table, write results and pictures.
+    """Run a scenario with each law and draw; print means with their intervals and what they decide, write results, pictures.
 
     Given results of `run` or `hil` instead, show them side by side.
     """
     from .experiments import LAWS, Study
-    from .scenario import load_scenario
+    from .scenario import build_system, load_scenario, remarks
 
     chosen_laws = [law.strip() for law in laws.split(",")]
     unknown = [law for law in chosen_laws if law not in LAWS]
@@ -305,10 +378,13 @@ def compare(
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
     chosen, folder = load_scenario(scenario[0])
     chosen = chosen.changed(dict(assignments(change)))
-    _compare([Study(chosen, folder, range(1, draws + 1))], fmus, output, chosen_laws, workers)
+    say_notes(remarks(build_system(chosen, fmus, folder)))
+    _compare([Study(chosen, folder, draws)], fmus, output, chosen_laws, workers)
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
+    from fmu_export.files import staging
+
     from .plots import save_comparison
     from .results import Result
 
@@ -318,8 +394,9 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
         raise UserError(f"results to compare must be different files, found {', '.join(map(str, paths))}")
     results = {name: Result.load(path) for name, path in zip(names, paths, strict=True)}
     print_results(results)
-    save_comparison(results, folder, ", ".join(names))
-    console.print(f"pictures in {folder}")
+    with staging(folder) as place:
+        save_comparison(results, place, ", ".join(names))
+    console.print(f"pictures in {escaped(folder)}")
 
 
 def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
@@ -334,10 +411,10 @@ def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], work
 
     for comparison in comparisons:
         folder = output / comparison.scenario.name
-        comparison.save(folder)
-        save_comparison(comparison.results, folder, comparison.scenario.description or comparison.scenario.name)
+        title = comparison.scenario.description or comparison.scenario.name
+        comparison.save(folder, partial(save_comparison, comparison.results, title=title))
         print_comparison(comparison)
-        console.print(f"results and pictures in {folder}\n")
+        console.print(f"results and pictures in {escaped(folder)}\n")
 
 
 @app.command()
@@ -356,7 +433,9 @@ def tune(
         str | None, typer.Option(help="Scales of P, |k x| on the unit ball [V]; none: 1.5, 3, 10.")
     ] = None,
     mu: Annotated[str | None, typer.Option(help="Values of mu; none: 0.5, 1.")] = None,
-    draws: Annotated[int, typer.Option(min=1, help="Random encoder offsets and noise for each point.")] = 8,
+    draws: Annotated[
+        int, typer.Option(min=1, help="Encoder offsets and noise, the same for each point; best a power of two.")
+    ] = 16,
     design: Annotated[
         Path | None, typer.Option(help="Design file with your A, b, k_lin and alpha; none: the default design.")
     ] = None,
@@ -389,12 +468,12 @@ def tune(
     found = default_design() if design is None else _load_design(design)
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
-    with Journal(target / "runs.jsonl", PURPOSE) as journal, staged_progress() as report:
+    with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)
     print_tuning(tuning)
     for path in paths:
-        console.print(f"wrote {path}")
+        console.print(f"wrote {escaped(path)}")
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:
@@ -438,10 +517,10 @@ def paper(
     with staged_progress() as report:
         claims = make(Study(output, fmus, size, workers), report)
     print_claims(claims)
-    console.print(f"wrote {output / 'report.html'} and the tables, figures and scenarios beside it")
+    console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")
 
 
-DEMO = {"swing_up": 3, "tilt": 5, "tilt_kalman": 3, "tilt_ideal": 0}
+DEMO = {"swing_up": 32, "tilt": 32, "tilt_kalman": 32, "tilt_ideal": 0}
 """The demonstration's scenarios, and their draws of the encoder offsets."""
 
 
@@ -465,12 +544,12 @@ def demo(
     )
     console.print("2. export")
     for path in export_units(found, output=fmus):
-        console.print(f"   {path}")
+        console.print(f"   {escaped(path)}")
     console.print(
         "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
     )
     studies = []
     for name, draws in DEMO.items():
         chosen, folder = load_scenario(name)
-        studies.append(Study(chosen, folder, range(1, draws + 1)))
+        studies.append(Study(chosen, folder, draws))
     _compare(studies, fmus, output, list(LAWS))

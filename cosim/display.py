@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import sys
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from traceback import print_exception
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
@@ -14,114 +17,223 @@ if TYPE_CHECKING:
 
     from ihc_fmu.design import Design
 
+    from .draws import Estimate
     from .experiments import Comparison
+    from .metrics import Quantity
     from .paper.claims import Claim
     from .results import Result
     from .tuning import Tuning
 
-console = Console()
-problems = Console(stderr=True, soft_wrap=True, highlight=False)
+console = Console(emoji=False)
+problems = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
 
 
-def say_error(error: BaseException) -> None:
-    """Print an error as one sentence to the error output."""
-    problems.print(f"[bold red]error:[/] {escaped(str(error))}")
+def degrade_output() -> None:
+    """Let characters that the output cannot encode become question marks instead of an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
-def escaped(text: str) -> str:
-    """Return text whose brackets Rich does not take for markup."""
+def say_error(error: BaseException, sentence: str = "", *, traceback: bool = False) -> None:
+    """Print an error as one sentence to the error output, after its traceback where that is wanted."""
+    if traceback:
+        print_exception(error)
+    problems.print(f"[bold red]error:[/] {escaped(sentence or str(error))}")
+
+
+def say_fault(error: BaseException) -> None:
+    """Print the traceback of an error that is no one's mistake but this program's, and where to report it."""
+    from importlib.metadata import metadata
+
+    print_exception(error)
+    urls = [url.partition(",")[2].strip() for url in metadata("qube-ihc").get_all("Project-URL") or []]
+    where = f" at {urls[0]}" if urls else ""
+    problems.print(f"[bold red]fault:[/] this is an error of qube-ihc; please report it{where} with the lines above")
+
+
+def say_notes(notes: Iterable[str]) -> None:
+    """Print what the user should know, a line each, to the error output."""
+    for note in notes:
+        problems.print(f"[yellow]note:[/] {escaped(note)}")
+
+
+def escaped(thing: object) -> str:
+    """Return the text of a thing, whose brackets Rich then does not take for markup."""
     from rich.markup import escape
 
-    return escape(text)
+    return escape(str(thing))
 
 
-NARROW = 120
-"""Characters that a table of metrics needs with unbroken headings."""
+def show_table(
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    text: bool = False,
+    bold: Container[int] = (),
+) -> None:
+    """Print a table; where the terminal is too narrow for it, without lines; where for that too, one line for each cell.
 
-METRIC_UNITS = {
-    "settling_time": "s",
-    "integral_q2": "rad^2 s",
-    "steady_rms": "rad",
-    "energy": "V^2 s",
-    "peak_voltage": "V",
-    "voltage_variation": "V/s",
-    "capture_time": "s",
-    "captures": "",
-}
+    The first column names the row; with `text` it may be broken. No other cell is ever broken or left out.
+    """
+    from rich import box
+    from rich.cells import cell_len
+    from rich.table import Table
+
+    console.print(escaped(title))
+    wide = console.options.update(max_width=10_000)
+    for lines in (box.HEAVY_HEAD, None):
+        table = Table(box=lines, pad_edge=lines is not None)
+        for number, heading in enumerate(headings):
+            broken = text and number == 0
+            widest = max(cell_len(cell) for cell in (heading, *(row[number] for row in rows)))
+            table.add_column(
+                escaped(heading),
+                justify="right" if number else "left",
+                no_wrap=not broken,
+                min_width=min(widest, LEAST_TEXT) if broken else widest,
+            )
+        for number, row in enumerate(rows):
+            table.add_row(*map(escaped, row), style="bold" if number in bold else None)
+        if console.measure(table, options=wide).minimum <= console.width:
+            console.print(table)
+            return
+    for row in rows:
+        console.print(escaped(row[0] or "-"), style="bold")
+        widest = max(map(cell_len, headings[1:]), default=0)
+        for heading, cell in zip(headings[1:], row[1:], strict=True):
+            if cell:
+                console.print(f"  {escaped(heading)}{' ' * (widest - cell_len(heading))}  {escaped(cell)}")
 
 
-def number_text(value: float) -> str:
-    """Return a metric as text."""
-    return "never" if math.isnan(value) else f"{value:.4g}"
+LEAST_TEXT = 20
+"""Characters below which a column of text is not broken."""
 
 
 def warn_of_messages(result: Result) -> None:
     """Print what the FMUs of a run logged."""
     for instance, messages in result.metadata.get("messages", {}).items():
         for message in messages:
-            problems.print(f"[yellow]{instance}:[/] {escaped(message)}")
+            problems.print(f"[yellow]{escaped(instance)}:[/] {escaped(message)}")
 
 
 def print_metrics(result: Result) -> None:
     """Print the metrics of a result, one a line."""
-    from .metrics import evaluate
+    from rich.cells import cell_len
 
-    for name, value in evaluate(result).as_dict().items():
-        unit = "" if math.isnan(value) else METRIC_UNITS[name]
-        console.print(f"  {name:17} {number_text(value)} {unit}".rstrip())
+    from .metrics import QUANTITIES, evaluate, unsteady
+
+    metrics = evaluate(result)
+    why = unsteady(metrics)
+    widest = max(cell_len(q.symbol) for q in QUANTITIES.values())
+    for name, q in QUANTITIES.items():
+        value = getattr(metrics, name)
+        unit = "" if math.isnan(value) else q.unit
+        cell = f"{q.text(value)} {unit}".rstrip() + _mark(q, metrics.steady, value)
+        console.print(f"  {q.symbol}{' ' * (widest - cell_len(q.symbol))}  {escaped(cell)}")
+    if why:
+        console.print(f"  * {why}")
+
+
+def _mark(q: Quantity, steady: bool, value: float) -> str:
+    """Return the mark of a number that is said of a steady state where there is none."""
+    return "" if steady or not q.of_window or math.isnan(value) else "*"
 
 
 def print_results(results: Mapping[str, Result]) -> None:
     """Print the metrics of several results side by side."""
-    from rich.table import Table
+    from .metrics import QUANTITIES, evaluate, unsteady
 
-    from .metrics import NAMES, evaluate
+    metrics = {name: evaluate(result) for name, result in results.items()}
+    rows = [
+        [q.heading, *(q.text(getattr(m, q.name)) + _mark(q, m.steady, getattr(m, q.name)) for m in metrics.values())]
+        for q in QUANTITIES.values()
+    ]
+    show_table("results", ["", *results], rows)
+    for name, m in metrics.items():
+        if not m.steady:
+            console.print(escaped(f"* {name}: {unsteady(m)}"))
 
-    table = Table()
-    table.add_column("metric")
-    for name in results:
-        table.add_column(escaped(name), justify="right")
-    metrics = [evaluate(result).as_dict() for result in results.values()]
-    for name in NAMES:
-        unit = f" [{METRIC_UNITS[name]}]" if METRIC_UNITS[name] else ""
-        table.add_row(escaped(f"{name}{unit}"), *(number_text(m[name]) for m in metrics))
-    console.print(table)
+
+def estimate_text(estimate: Estimate, text: Callable[[float], str]) -> str:
+    """Return a mean and the half width of its interval, with the digits that the interval leaves."""
+    value, half = estimate.value, estimate.half_width
+    if math.isnan(value) or math.isnan(half) or half <= 1e-9 * abs(value) or text(value).startswith("<"):
+        return text(value)
+    digits = decimals(half)
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
+
+
+def decimals(half_width: float) -> int:
+    """Return the decimals that show the half width of an interval to one digit, to two where the first would be a 1."""
+    power = math.floor(math.log10(half_width))
+    return max(0, -power + (half_width < 1.95 * 10.0**power))
+
+
+def change_text(estimate: Estimate) -> str:
+    """Return a change in percent, or a factor from 10 on; its interval; and whether it is decided, smaller being better."""
+    value, half = estimate.value, estimate.half_width
+    if math.isnan(value):
+        return "–"
+    if abs(value) < 1e-12 and not half > 1e-12:
+        return "equal"
+    factor, unit = (1.0, "") if value > 9.0 else (100.0, " %")
+    shown = f"× {1.0 + value:.3g}" if value > 9.0 else f"{100.0 * value:+.3g}"
+    if math.isnan(half):
+        return shown + unit
+    digits = min(3, decimals(factor * max(half, 1e-9)))
+    shown = f"× {1.0 + value:.{digits}f}" if value > 9.0 else f"{100.0 * value:+.{digits}f}"
+    return f"{shown} ± {factor * half:.{digits}f}{unit} {VERDICTS[estimate.decided]}"
+
+
+VERDICTS = {1: "worse", 0: "open", -1: "better"}
+"""What the sign of a decided change means."""
+
+
+def comparison_rows(comparison: Comparison) -> list[list[str]]:
+    """Return a row for each metric with a cell for each law, and one for the pendulums kept upright."""
+    from .experiments import SHOWN
+    from .metrics import QUANTITIES
+
+    rows = []
+    for q in (QUANTITIES[name] for name in SHOWN):
+        cells = []
+        for law in comparison.of_law:
+            value = comparison.value(law, q.name)
+            cells.append(estimate_text(value, q.text) + _mark(q, comparison.steady(law), value.value))
+        rows.append([q.heading, *cells])
+    kept = (f"{comparison.kept(law)} of {comparison.count}" for law in comparison.of_law)
+    return [*rows, ["kept upright", *kept]]
+
+
+def change_rows(comparison: Comparison) -> list[list[str]]:
+    """Return a row for each metric with each other law's change over the first one's."""
+    from .experiments import SHOWN
+    from .metrics import QUANTITIES
+
+    base, *others = comparison.of_law
+    names = [name for name in SHOWN if name != "capture_time"]
+    return [
+        [QUANTITIES[name].symbol, *(change_text(comparison.change(law, base, name)) for law in others)]
+        for name in names
+    ]
 
 
 def print_comparison(comparison: Comparison) -> None:
-    """Print the medians of a comparison."""
-    from rich.table import Table
-
-    laws = list(comparison.results)
-    count = len(comparison.draws) // len(laws)
-    drawn = f"medians over {count} draws of the encoder offsets" if count > 1 else "one run"
-    table = Table(title=f"{comparison.scenario.name}: {drawn}", title_justify="left")
-    headings = (
-        "settling [s]",
-        "∫|q|² dt [rad² s]",
-        "steady RMS |q| [rad]",
-        "∫V² dt [V² s]",
-        "peak V [V]",
-        "varies [V/s]",
-        "capture [s]",
+    """Print the means of a comparison, and what they say of each law against the first one."""
+    name, count, (base, *others) = comparison.scenario.name, comparison.count, comparison.of_law
+    drawn = (
+        f"means ± 95 % interval over {count} draws of the encoders' offsets (steady RMS: root mean square)"
+        if count > 1
+        else "one run"
     )
-    names = (
-        "settling_time",
-        "integral_q2",
-        "steady_rms",
-        "energy",
-        "peak_voltage",
-        "voltage_variation",
-        "capture_time",
-    )
-    columns = [[number_text(comparison.median(law, name)) for law in laws] for name in names]
-    table.add_column("law", no_wrap=True)
-    for heading, cells in zip(headings, columns, strict=True):
-        widest = max(map(len, [*cells, *heading.split()]))  # a narrow terminal breaks headings, never numbers
-        table.add_column(escaped(heading), justify="right", width=widest if console.width < NARROW else None)
-    for row in zip(laws, *columns, strict=True):
-        table.add_row(*row)
-    console.print(table)
+    show_table(f"{name}: {drawn}", ["", *comparison.of_law], comparison_rows(comparison))
+    if others:
+        drawn = ", in the same draws; ± 95 % interval" if count > 1 else ""
+        show_table(f"{name}: over {base}{drawn}", ["", *others], change_rows(comparison))
+    for remark in comparison.remarks():
+        console.print(escaped(remark))
 
 
 @contextmanager
@@ -147,7 +259,7 @@ def progress() -> Progress:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
@@ -163,7 +275,9 @@ def print_design(found: Design) -> None:
     def row(values: Iterable[float]) -> str:
         return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
 
-    table = Table(title=f"implicit homogeneous controller, {found.method}", show_header=False, title_justify="left")
+    table = Table(
+        title=escaped(f"implicit homogeneous controller, {found.method}"), show_header=False, title_justify="left"
+    )
     table.add_row("k_lin", row(found.k_lin))
     table.add_row("k = k_lin + row", row(found.k))
     table.add_row("P", "\n".join(row(line) for line in found.P))
@@ -180,47 +294,48 @@ def print_design(found: Design) -> None:
 
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
-    from rich.table import Table
+    from .metrics import QUANTITIES
 
-    title = (
-        f"{tuning.measure} [{METRIC_UNITS[tuning.measure]}]: where the paper's rule stops, for each mu and scale of P"
-    )
-    table = Table(title=escaped(title), title_justify="left")
-    for heading in ("mu", "u_max [V]", "a_min", "b_max", "measure", "over LC", "variation [V/s]", "upright"):
-        table.add_column(escaped(heading), justify="right")
-    linear = tuning.linear
-    table.add_row(
-        "LC", "", "", "", f"{linear.measure:.4g}", "", f"{linear.chattering:.4g}", f"{linear.kept}/{linear.draws}"
-    )
+    q, linear = QUANTITIES[tuning.measure], tuning.linear
+    many = linear.draws > 1
+    drawn = f", {linear.draws} draws; ± 95 % interval" if many else ""
+    title = f"{q.heading}: where the paper's rule stops, for each mu and scale of P{drawn}"
+    variation = QUANTITIES["voltage_variation"].heading
+    headings = ("mu", "u_max [V]", "a_min", "b_max", q.symbol, "over LC", variation, "upright")
+    rows = [
+        ["LC", "", "", "", f"{linear.measure:.4g}", "", f"{linear.chattering:.4g}", f"{linear.kept}/{linear.draws}"]
+    ]
     for point in tuning.stops:
         o = tuning.outcomes[point]
-        change = f"{100 * (o.measure / linear.measure - 1):+.1f} %"
-        cells = (*(f"{v:g}" for v in point), f"{o.measure:.4g}", change, f"{o.chattering:.4g}", f"{o.kept}/{o.draws}")
-        table.add_row(*cells, style="bold" if o is tuning.best else None)
-    console.print(table)
-    best, lowest = tuning.best.point, min(point.a_min for point in tuning.outcomes)
-    if best.a_min == lowest < 1.0:
+        change = change_text(o.over_linear)
+        rows.append(
+            [*(f"{v:g}" for v in point), f"{o.measure:.4g}", change, f"{o.chattering:.4g}", f"{o.kept}/{o.draws}"]
+        )
+    best = [number for number, point in enumerate(tuning.stops, start=1) if point == tuning.best.point]
+    show_table(title, headings, rows, bold=best)
+    lowest = min(point.a_min for point in tuning.outcomes)
+    if tuning.best.point.a_min == lowest < 1.0:
         console.print(f"the best is at the smallest a_min tried, {lowest:g}; --a-min takes smaller ones")
 
 
 def print_claims(claims: list[Claim]) -> None:
     """Print the paper's main claims and the counts of all verdicts."""
-    from rich.table import Table
 
     def value(number: float, unit: str) -> str:
         return "" if math.isnan(number) else f"{number:.4g}" + ("" if unit == "1" else f" {unit}")
 
-    table = Table(title="the paper's main claims", title_justify="left")
-    table.add_column("claim")
-    for heading in ("printed", "ours", "draws"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("verdict", no_wrap=True)
+    rows = [
+        [
+            f"{claim.section}: {claim.text}",
+            value(claim.printed, claim.unit),
+            value(claim.ours, claim.unit),
+            "" if claim.share is None else f"{claim.share.wins}/{claim.share.draws}",
+            claim.verdict,
+        ]
+        for claim in claims
+        if claim.main
+    ]
+    show_table("the paper's main claims", ("claim", "printed", "ours", "draws", "verdict"), rows, text=True)
     colours = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
-    for claim in (claim for claim in claims if claim.main):
-        draws = "" if claim.share is None else f"{claim.share.wins}/{claim.share.draws}"
-        values = (value(number, claim.unit) for number in (claim.printed, claim.ours))
-        verdict = f"[{colours[claim.verdict]}]{claim.verdict}[/]"
-        table.add_row(escaped(f"{claim.section}: {claim.text}"), *values, draws, verdict)
-    console.print(table)
     counts = {verdict: sum(claim.verdict == verdict for claim in claims) for verdict in colours}
     console.print("all claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items()))

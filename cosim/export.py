@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .errors import UserError
+
 if TYPE_CHECKING:
+    from fmu_export.guarded_slave import GuardedSlave
+    from fmu_export.native_unit import NativeUnit
+    from fmu_export.variables import Value
     from ihc_fmu.design import Design
 
 
@@ -34,30 +39,34 @@ def export_units(
     smc: Smc = Smc.fitted,
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
+    building: Callable[[str], object] | None = None,
+    *,
+    other_model: bool = False,
 ) -> list[Path]:
     """Write QubeServo2.fmu, IhcController.fmu and QubeWithController.ssp to the folder `output`; return their paths.
 
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
-    that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` as in
-    `export_native_fmu`. Raises
-    ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
+    that hold them; `changes` to start values are given per unit, "plant" and "controller", and what follows from them does:
+    the Kalman filter's gain from the nominal model and the sample time, the capture level from the voltage limit.
+    `platforms` and `building` as in `export_native_fmu`. The three reach the folder together: where one fails, earlier ones stay as they
+    are. Raises UserError for what cannot be exported, before anything is written: also a
+    design for another model than the plant's, unless `other_model`; BuildError for a missing binary or compiler.
     """
-    from fmu_export.native_fmu import export_native_fmu
-    from fmu_export.python_fmu import export_python_fmu
-    from fmu_export.ssp import write_ssp
+    from fmu_export.files import staging
     from ihc_fmu.documentation import notes as controller_notes
     from ihc_fmu.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.slave import IhcController
     from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
-    from ihc_fmu.start_values import controller_start_values
+    from ihc_fmu.start_values import check_order, controller_start_values
     from plant_fmu.documentation import notes as plant_notes
     from plant_fmu.interface import start_values as plant_start_values
     from plant_fmu.native_unit import NATIVE as PLANT
     from plant_fmu.slave import QubeServo2
 
+    from .model_match import misfit
     from .parameter_files import chosen
-    from .scenario import WIRES
 
+    check_order(design)
     plant_set, nominal_set = chosen(parameters), chosen(nominal)
     changes = {"plant": {}, "controller": {}, **(changes or {})}
     A, b, k_lin = design.A, design.b, design.k_lin
@@ -67,17 +76,39 @@ def export_units(
         (
             CONTROLLER,
             IhcController,
-            {**controller_start_values(design, nominal_set, sliding), **changes["controller"]},
+            controller_start_values(design, nominal_set, sliding, changes["controller"]),
             controller_notes(design, nominal_set.name),
         ),
     )
     for native, _, start, _ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
+    problem = misfit(plans[1][2], plans[0][2])
+    if problem is not None and not other_model:
+        raise UserError(f"{problem}; --other-model exports them all the same")
+    with staging(output) as place:
+        names = [path.name for path in _export(plans, place, kind, platforms, building)]
+    return [output / name for name in names]
+
+
+def _export(
+    plans: Sequence[tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str]],
+    output: Path,
+    kind: Kind,
+    platforms: Sequence[str] | None,
+    building: Callable[[str], object] | None,
+) -> list[Path]:
+    """Write the FMUs of plant and controller and the SSP that holds both."""
+    from fmu_export.native_fmu import export_native_fmu
+    from fmu_export.python_fmu import export_python_fmu
+    from fmu_export.ssp import write_ssp
+
+    from .scenario import WIRES
+
     paths = []
     for native, slave, start, notes in plans:
         path = output / f"{native.interface.name}.fmu"
         if kind is Kind.native:
-            paths.append(export_native_fmu(native, path, start, notes, platforms))
+            paths.append(export_native_fmu(native, path, start, notes, platforms, building))
         else:
             paths.append(export_python_fmu(slave, path, start, notes))
     plant, controller = paths

@@ -54,6 +54,9 @@ _idle: dict[tuple[str, str], list[Any]] = {}
 
 _unpacked: dict[tuple[str, int, int], tuple[str, ModelDescription]] = {}
 
+_starts: dict[str, dict[str, Value]] = {}
+"""FMUs' own start values by the folder that they are unpacked in."""
+
 
 _instances: WeakValueDictionary[int, Instance] = WeakValueDictionary()
 """Instances by the environment pointer that their FMUs hand back with each message."""
@@ -97,13 +100,28 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     """
     try:
         status = path.stat()
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
+    except OSError as error:
+        raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
         if key not in _unpacked:
             _unpacked[key] = _unpack(path)
     return _unpacked[key]
+
+
+def start_values_of(path: Path) -> dict[str, Value]:
+    """Return the start values of an FMU's numbers and truth values by name, in their types; raises as `describe`."""
+    folder, description = describe(path)
+    if folder not in _starts:
+        types = {"Real": float, "Boolean": lambda text: str(text).lower() in ("true", "1"), "String": None}
+        _starts[folder] = {
+            v.name: convert(v.start)
+            for v in description.modelVariables
+            if v.start is not None and (convert := types.get(v.type, int)) is not None
+        }
+    return dict(_starts[folder])
 
 
 def _unpack(path: Path) -> tuple[str, ModelDescription]:

@@ -14,7 +14,7 @@ from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
 from fmu_export.errors import shown
-from fmu_export.files import write_file
+from fmu_export.files import is_file, write_file
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
@@ -80,7 +80,7 @@ def file_of(name_or_file: str | None, folder: Path | None = None) -> Path | None
     if name_or_file is None or not name_or_file.endswith(SUFFIX):
         return None
     beside = (folder or Path()) / name_or_file
-    return beside if beside.is_file() else Path(name_or_file)
+    return beside if is_file(beside) else Path(name_or_file)
 
 
 def check_name(name_or_file: str, entry: str = "parameter set") -> None:

@@ -1,36 +1,41 @@
-"""What a run leaves: signals over time with units and metadata; written as CSV with a JSON beside it, exactly."""
+"""What a run leaves: signals over time with units and metadata; written as CSV with a JSON beside it, exactly.
+
+The JSON is written last and holds the digest of the table, and its own, so that files of different runs, cut or changed
+ones are refused.
+"""
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, StrictStr
 from pydantic_core import to_json
 
-from fmu_export.errors import shown
-from fmu_export.files import write_file
-from fmu_export.reading import parse_json, read_text
+from fmu_export.files import uninterrupted, write_files
+from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError
 from .room import check_memory
-from .typed import checked
 
-FORMAT = "qube-ihc result 1"
+FORMAT = "qube-ihc result 2"
+EARLIER_FORMATS = ("qube-ihc result 1",)
+
+ROWS_AT_ONCE = 500
+"""Rows that become text together: few enough for the processor's caches."""
 
 BYTES_READ = 8
 """Memory that reading a table takes, for each byte of the file."""
 
-ROWS_AT_ONCE = 500
-"""Rows that become text together: few enough for the processor's caches."""
+MOST_BYTES = 8 * 2**30
+"""Size of the largest table that is read [byte]."""
 
 Array = np.ndarray
 
@@ -56,59 +61,88 @@ class Result:
             raise UserError(f"the result has no signal {name!r}; it has {', '.join(self.signals)}") from None
 
     def save(self, path: Path) -> None:
-        """Write `path` (CSV) and the JSON beside it, under temporary names first, so that neither is ever half there."""
+        """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.
+
+        Both are on the disk before they get their names, and Ctrl-C waits for that. Raises UserError where they cannot be
+        written; an earlier result is then as it was.
+        """
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
-        header = {"format": FORMAT, "units": self.units, "metadata": self.metadata}
-        write_file(path.with_suffix(".json"), json.dumps(header, indent=1) + "\n")
-        blocks = [_names(["time", *self.signals])]
         columns = [self.time, *self.signals.values()]
-        blocks += [_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) for k in range(0, len(self.time), ROWS_AT_ONCE)]
-        write_file(path, b"\n".join(blocks) + b"\n")
+        table = [_names(["time", *self.signals]) + b"\n"]
+        for k in range(0, len(self.time), ROWS_AT_ONCE):
+            table.append(_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) + b"\n")
+        about = {"units": self.units, "metadata": self.metadata}
+        with uninterrupted():
+            header = {"format": FORMAT, "rows": len(self.time), "sha256": _sha256(table), **about}
+            header["description_sha256"] = _seal(header)
+            write_files({path: table, path.with_suffix(".json"): json.dumps(header, indent=1) + "\n"})
 
     @classmethod
     def load(cls, path: Path) -> Result:
-        """Read a CSV and the JSON beside it; raise UserError that names the file and what is wrong with it."""
-        if not path.exists():
-            raise UserError(f"result file {path} does not exist")
+        """Read a CSV and the JSON that describes it; raise UserError that names the file and what does not fit."""
+        if path.is_file():
+            size = BYTES_READ * path.stat().st_size
+            check_memory(f"reading {path}", size, "a result with fewer rows or columns can be read")
+        content = read_bytes(path, "result", MOST_BYTES)
+        header = _description(path.with_suffix(".json"))
+        rows = content.count(b"\n") - 1 - sum(name.count("\n") for name in header["units"])
+        if rows != header["rows"]:
+            raise UserError(f"{path} has {rows} rows, its description says {header['rows']}: cut, or of another run")
+        if _sha256([content]) != header["sha256"]:
+            raise UserError(f"{path} is not the table that its description means: changed, or of another run")
         try:
-            described = path.with_suffix(".json")
-            header = checked(_Header, parse_json(read_text(described, "result"), described), described)
-            names, columns = _table(path)
-        except csv.Error as error:
-            raise UserError(f"{path}: not a result: {error}") from None
-        if names[:1] != ["time"] or len(set(names)) != len(names) or not set(names[1:]) <= header.units.keys():
-            raise UserError(f"{path}: not a result of the format {FORMAT!r}")
+            names, *lines = csv.reader(io.StringIO(content.decode("utf-8"), newline=""))
+        except (csv.Error, UnicodeDecodeError):
+            raise UserError(f"{path} is not a table of numbers") from None
+        wrong = next((k for k, line in enumerate(lines, 1) if len(line) != len(names)), None)
+        if wrong is not None:
+            raise UserError(f"{path}: row {wrong} has {len(lines[wrong - 1])} values for {len(names)} columns")
+        if names[:1] != ["time"] or len(set(names)) != len(names) or not set(names[1:]) <= header["units"].keys():
+            raise UserError(f"{path}: the columns must be time and signals with units, found {', '.join(names)}")
+        columns = list(zip(*lines, strict=True)) or [() for _ in names]
         arrays = [_column(path, name, column) for name, column in zip(names, columns, strict=True)]
-        result = cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header.units, header.metadata)
+        result = cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
         from .provenance import provenance  # noqa: PLC0415 - it needs this module
 
         provenance(result)
         return result
 
 
-class _Header(BaseModel):
-    """The JSON beside the table."""
+def _description(path: Path) -> dict[str, Any]:
+    """Return the description of a table, checked against its own digest; raise UserError for another file."""
+    header = parse_json(read_text(path, "result"), path, finite=False)
+    found = header.get("format") if isinstance(header, dict) else None
+    if found in EARLIER_FORMATS:
+        raise UserError(f"{path} is of an earlier version, which kept no digest of the table; make the result again")
+    if found != FORMAT:
+        raise UserError(f"{path} is not the description of a result, whose format is {FORMAT!r}")
+    digest = header.pop("description_sha256", None)
+    if digest != _seal(header):
+        raise UserError(f"{path} was changed: it does not fit its own digest")
+    units = header.get("units")
+    if not isinstance(units, dict) or not all(isinstance(unit, str) for unit in units.values()):
+        raise UserError(f"{path}: units must be texts by the signals' names")
+    if not isinstance(header.get("metadata"), dict) or not {"rows", "sha256"} <= header.keys():
+        raise UserError(f"{path} is not the description of a result: rows, sha256 and metadata belong to it")
+    return header
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
-    format: Literal["qube-ihc result 1"]
-    units: dict[StrictStr, StrictStr]
-    metadata: dict[str, Any]
+
+def _seal(header: Mapping[str, Any]) -> str:
+    """Return the digest of a description without its own."""
+    return _sha256([json.dumps(header).encode()])
 
 
-def _table(path: Path) -> tuple[list[str], list[tuple[str, ...]]]:
-    """Return (names, columns of texts) of a CSV file; raise UserError for rows of another length than the first."""
-    check_memory(f"reading {path}", path.stat().st_size * BYTES_READ, "a result with fewer rows or columns can be read")
-    rows = list(csv.reader(io.StringIO(read_text(path, "result", sys.maxsize), newline=""), strict=True))
-    if not rows or not rows[0]:
-        raise UserError(f"{path}: not a result: the file is empty")
-    for number, row in enumerate(rows, start=1):
-        if len(row) != len(rows[0]):
-            raise UserError(
-                f"{path}: row {number} must have {len(rows[0])} entries, found {len(row)}"
-                + ("; the file ends there, it was cut" if number == len(rows) else "")
-            )
-    return rows[0], list(zip(*rows[1:], strict=True)) or [() for _ in rows[0]]
+def _sha256(pieces: Iterable[bytes]) -> str:
+    digest = hashlib.sha256()
+    for piece in pieces:
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def _names(names: Sequence[str]) -> bytes:
+    """Return the first row; names of FMUs may have commas, quotes and line breaks in them."""
+    return ",".join('"' + n.replace('"', '""') + '"' if set(n) & set(',"\r\n') else n for n in names).encode()
 
 
 def _csv(columns: Sequence[Array]) -> bytes:
@@ -120,19 +154,14 @@ def _csv(columns: Sequence[Array]) -> bytes:
     return to_json(rows, inf_nan_mode="constants")[2:-2].replace(b"],[", b"\n")
 
 
-def _names(names: Sequence[str]) -> bytes:
-    """Return the first row; names of FMUs may have commas, quotes and line breaks in them."""
-    return ",".join('"' + n.replace('"', '""') + '"' if set(n) & set(',"\r\n') else n for n in names).encode()
-
-
 def _column(path: Path, name: str, texts: tuple[str, ...]) -> Array:
     try:
         if name != "time" and texts and all(text.lstrip("-").isdigit() for text in texts):
             return np.array(texts, dtype=np.int64)
         return np.array(texts, dtype=np.float64)
     except (ValueError, OverflowError):
-        wrong = next((text for text in texts if not _is_number(text)), max(texts, key=len))
-        raise UserError(f"{path}: column {shown(name)} must hold numbers, found {shown(wrong)}") from None
+        wrong = next((text for text in texts if not _is_number(text)), "a whole number beyond 64 bits")
+        raise UserError(f"{path}: column {name} must hold numbers, found {wrong!r}") from None
 
 
 def _is_number(text: str) -> bool:

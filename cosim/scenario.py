@@ -9,15 +9,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from fmu_export.files import is_file
 from fmu_export.variables import did_you_mean
+from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.interface import VELOCITY_SOURCES
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files
 from .errors import UserError
+from .fmu import Value
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
 from .results import Result
@@ -76,14 +79,20 @@ class PlantSection(_Section):
         description="name of a file in the folder given to the command or beside the scenario; no path",
     )
     parameters: str | None = Field(
-        "ident",
-        description=f"named set: {', '.join(PARAMETER_SETS)}; or a file *.toml, beside the scenario or in the current "
-        "folder; none: the FMU's start values",
+        None,
+        description="none: the FMU's own start values; or a set that replaces them, by name: "
+        f"{', '.join(PARAMETER_SETS)}; or of a file *.toml, beside the scenario or in the current folder",
     )
     measurement: Literal["encoders", "ideal"] = Field(
         "encoders", description="encoders: counted angles; ideal: the true state, velocities included"
     )
     start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the plant FMU by name")
+
+    @field_validator("parameters")
+    @classmethod
+    def _own(cls, value: str | None) -> str | None:
+        """Take the word that TOML, which has no null, says for it."""
+        return None if value == "none" else value
 
 
 class ControllerSection(_Section):
@@ -95,6 +104,9 @@ class ControllerSection(_Section):
     )
     design: str | None = Field(
         None, description="design file beside the scenario; none: the design exported in the FMU"
+    )
+    other_model: bool = Field(
+        False, description="true: run a controller that was designed for another model than the plant's all the same"
     )
     start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the controller FMU by name")
 
@@ -181,12 +193,7 @@ class Scenario(_Section):
         return _validated(data, self.name)
 
     def to_toml(self) -> str:
-        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name.
-
-        Raises UserError for a plant without a named parameter set, which TOML cannot say.
-        """
-        if self.plant.parameters is None:
-            raise UserError("a scenario without plant.parameters cannot be written as TOML, which has no null")
+        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name."""
         import tomli_w  # noqa: PLC0415
 
         return tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
@@ -203,11 +210,10 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     Raises UserError that names the file, the entry, the rule and the value.
     """
     path = Path(name)
-    if not path.suffix and not path.is_file():  # a folder `paper` does not hide the scenario `paper`
-        built_in = BUILT_IN / f"{name}.toml"
-        if built_in.exists():
-            path = built_in
-        elif not path.exists():
+    if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
+        if name in built_in_names():
+            path = BUILT_IN / f"{name}.toml"
+        else:
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     data = read_toml(path, "scenario")
     return _validated({"name": path.stem, **data}, str(path)), path.parent
@@ -227,8 +233,9 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
 def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
-    `controller` is the file of a controller FMU that the user named, in the place of the scenario's.
-    Raises UserError for files that do not exist or say what cannot be, and designs that fail their certificate.
+    `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
+    does not say is as it was exported. Raises UserError for files that do not exist or say what cannot
+    be, designs that fail their certificate, and a controller that was designed for another model than the plant's.
     """
     plant_start: dict[str, StartValue] = {}
     if scenario.plant.parameters is not None:
@@ -237,26 +244,59 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, con
         plant_start |= random_measurement(scenario.run.seed)
     plant_fmu, controller_fmu, design = files(scenario, fmus, folder)
     controller_fmu = controller or controller_fmu
-    controller_start: dict[str, StartValue] = {"sample_time": scenario.run.step}
-    if design is not None:
-        controller_start |= _design_values(design)
-    if scenario.plant.measurement == "ideal":
-        controller_start["velocity_source"] = "input"
-    controller_start |= scenario.controller.start
-    if controller_start.get("velocity_source") in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
-        controller_start = _kalman_values(controller_fmu, controller_start) | controller_start
+    components = (
+        Component("controller", controller_fmu, _controller_start(scenario, controller_fmu, design)),
+        Component("plant", plant_fmu, plant_start | scenario.plant.start),
+    )
+    if not scenario.controller.other_model:
+        _check_model(components)
     signals = []
     if scenario.disturbance.sines and scenario.disturbance.gain:
         section = scenario.disturbance
         signals.append(DisturbanceSignal(f"plant.{section.input}", section.value, section))
     return System(
-        components=(
-            Component("controller", controller_fmu, controller_start),
-            Component("plant", plant_fmu, plant_start | scenario.plant.start),
-        ),
+        components=components,
         wires=WIRES[scenario.plant.measurement],
         signals=signals,
     )
+
+
+def _controller_start(scenario: Scenario, fmu: Path, design: Path | None) -> dict[str, StartValue]:
+    """Return the controller's start values that the scenario decides, and those that follow from them."""
+    own = _own_values(fmu)
+    start: dict[str, StartValue] = {}
+    if own.get("sample_time") == CONTROLLER.step_size:  # not chosen at export
+        start["sample_time"] = scenario.run.step
+    if design is not None:
+        limit = scenario.controller.start.get("voltage_limit", own.get("voltage_limit"))
+        start |= _design_values(design, limit)
+    if scenario.plant.measurement == "ideal":
+        start["velocity_source"] = "inputs"
+    start |= scenario.controller.start
+    source = start.get("velocity_source", own.get("velocity_source"))
+    if source in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
+        start = _kalman_values(own, start) | start
+    return start
+
+
+def _check_model(components: Sequence[Component]) -> None:
+    """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
+    from .model_match import misfit  # noqa: PLC0415
+
+    problem = misfit(*_all_values(components))
+    if problem is not None:
+        raise UserError(f"{problem}; controller.other_model = true runs it all the same")
+
+
+def _all_values(components: Sequence[Component]) -> list[dict[str, StartValue]]:
+    return [{**_own_values(c.path), **c.start} for c in components]
+
+
+def remarks(system: System) -> list[str]:
+    """Return what is to be known of a system's controller on its plant, although they fit, see `model_match`."""
+    from .model_match import remarks as found  # noqa: PLC0415
+
+    return found(*_all_values(system.components))
 
 
 def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[Path, Path, Path | None]:
@@ -264,7 +304,7 @@ def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[P
 
     def find(file: str) -> Path:
         beside = (folder or Path()) / file
-        return beside if folder is not None and beside.is_file() else fmus / file
+        return beside if folder is not None and is_file(beside) else fmus / file
 
     design = scenario.controller.design
     return (
@@ -310,29 +350,40 @@ def run_scenario(
     )
 
 
-def _design_values(path: Path) -> dict[str, StartValue]:
+def _design_values(path: Path, voltage_limit: StartValue | None) -> dict[str, StartValue]:
     try:
         status = path.stat()
     except FileNotFoundError:
         raise UserError(f"design file {path} does not exist") from None
-    return _values_of(path, status.st_mtime_ns, status.st_size)
+    except OSError as error:
+        raise UserError(f"design file {path} cannot be read: {error.strerror}") from None
+    return _values_of(path, voltage_limit, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=16)  # a design's proof takes longer than a run
-def _values_of(path: Path, _time: int, _size: int) -> dict[str, StartValue]:
+def _values_of(path: Path, voltage_limit: StartValue | None, _time: int, _size: int) -> dict[str, StartValue]:
     from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
     from ihc_fmu.start_values import design_values  # noqa: PLC0415
 
-    return dict(design_values(Design.load(path)))
+    design = Design.load(path)
+    return dict(design_values(design) if voltage_limit is None else design_values(design, None, float(voltage_limit)))
 
 
-def _kalman_values(fmu: Path, start: Mapping[str, StartValue]) -> dict[str, StartValue]:
-    """Return the Kalman filter's gain for the sample time and the nominal model, the FMU's where `start` has no other."""
-    from .fmu import as_value, describe  # noqa: PLC0415
+def _own_values(fmu: Path) -> Mapping[str, Value]:
+    """Return the start values with which an FMU was exported, by name and in their types."""
+    from .fmu import start_values_of  # noqa: PLC0415
 
-    variables = [v for v in describe(fmu)[1].modelVariables if v.name.startswith("nominal_")]
-    nominal = {v.name: float(as_value(v, start.get(v.name, float(v.start)))) for v in variables}  # type: ignore[arg-type]
-    return _kalman_gain(tuple(nominal.items()), float(start["sample_time"]))
+    return start_values_of(fmu)
+
+
+def _kalman_values(own: Mapping[str, Value], start: Mapping[str, StartValue]) -> dict[str, StartValue]:
+    """Return the Kalman filter's gain for the sample time and the nominal model; nothing where the FMU's own is for them."""
+    values = {**own, **start}
+    nominal = {name: float(value) for name, value in values.items() if name.startswith("nominal_")}
+    time = float(values["sample_time"])
+    if own.get("kalman_sample_time") == time and nominal.items() <= own.items():
+        return {}
+    return _kalman_gain(tuple(nominal.items()), time)
 
 
 @lru_cache(maxsize=16)  # a Riccati equation

@@ -2,29 +2,31 @@
 
 Section IV of the paper: step 1, a_min = b_max = 1, which is the LC; step 2, decrease a_min and, if necessary, increase
 b_max as long as this improves the control. Here it is done for each scale of P and each mu, against a measure that is named,
-in the measurement chain of a scenario, on the same draws of encoder offsets and noise for every point.
+in the measurement chain of a scenario, on the same draws of encoder offsets (a Sobol set) and noise for every point.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from fmu_export.files import write_file
+from fmu_export.files import staging, write_file
 from fmu_export.variables import Value
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.start_values import design_values
 
-from .campaign import Job, Journal, Numbers, counted, run_numbers
+from .campaign import Job, Journal, Numbers, run_numbers
+from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square
 from .errors import UserError
-from .metrics import evaluate, kept_upright
-from .plots import save_figure
+from .experiments import UNSTEADY
+from .metrics import QUANTITIES, Quantity, evaluate, kept_upright
+from .plots import OTHERS, save_figure
 from .results import Result
 from .scenario import Scenario, files
 
@@ -33,7 +35,7 @@ MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_var
 
 CHATTERING = "voltage_variation"
 
-PURPOSE = "tuning: numbers 1"
+PURPOSE = "tuning: numbers 2"
 """Named in the journal; to be changed with `numbers`."""
 
 
@@ -70,13 +72,20 @@ class Grid:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A point's medians over the draws; `kept` of `draws` stayed upright, another counts as infinitely bad."""
+    """A point's means over the draws in which it kept the pendulum upright, `kept` of `draws`.
+
+    `measure` is infinite where fewer than half were kept, or the measure is one of a steady state that was not reached.
+    A draw that never settles counts the run's duration. `over_linear`: the change of the measure over the LC's in the
+    draws that both kept, with its interval. `steady`: the end of the runs is a steady state.
+    """
 
     point: Point
     measure: float
     chattering: float
     kept: int
     draws: int
+    steady: bool = True
+    over_linear: Estimate = field(default_factory=lambda: Estimate(math.nan))
 
 
 @dataclass(frozen=True)
@@ -108,7 +117,7 @@ class Problem:
     design: Design
     measure: str = "integral_q2"
     most_chattering: float = math.inf
-    draws: int = 8
+    draws: int = 16
 
     def __post_init__(self) -> None:
         if self.measure not in MEASURES:
@@ -161,30 +170,31 @@ def tune(
     families = [(mu, u_max) for mu in grid.mu for u_max in grid.u_max]
     designs = problem.designs(grid)
     outcomes: dict[Point, Outcome] = {}
+    runs: dict[Point, list[Numbers]] = {}
+    start = Point(*families[0], 1.0, 1.0)
 
     def run(what: str, points: Iterable[Point]) -> None:
         jobs = [
-            Job((point, seed), scenario.changed({"run.seed": seed}), problem.folder)
+            Job((point, draw), drawn(scenario, draw), problem.folder)
             for point in points
             if point not in outcomes
             for scenario in [problem.at(point, designs[point.mu, point.u_max])]
-            for seed in range(1, problem.draws + 1)
+            for draw in range(1, problem.draws + 1)
         ]
         found = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
         for point in dict.fromkeys(key[0] for key in found):
-            draws = [found[point, seed] for seed in range(1, problem.draws + 1)]
-            outcomes[point] = _outcome(point, draws, problem.measure)
+            runs[point] = [found[point, draw] for draw in range(1, problem.draws + 1)]
+            outcomes[point] = _outcome(point, runs[point], runs[start], problem)
 
     down = sorted(grid.a_min, reverse=True)
     run("lowering a_min", (Point(*family, a_min, 1.0) for family in families for a_min in down))
-    linear = outcomes[Point(*families[0], 1.0, 1.0)]
+    linear = outcomes[start]
     if not math.isfinite(linear.measure):
-        why = (
-            f"keeps the pendulum upright in {linear.kept} of {linear.draws} draws"
-            if linear.kept < linear.draws
-            else f"has no {problem.measure} in half of the draws"
-        )
+        kept = f"keeps the pendulum upright in {linear.kept} of {linear.draws} draws"
+        why = kept if 2 * linear.kept < linear.draws else f"has no {problem.measure} yet at the end of a run"
         raise UserError(f"tuning starts from the LC, which in this scenario {why}")
+    if not linear.steady and math.isfinite(problem.most_chattering):
+        raise UserError("tuning limits the chattering in steady state, which the LC in this scenario does not reach")
     most = problem.most_chattering * linear.chattering
     lowest = [_walk([outcomes[Point(*family, a_min, 1.0)] for a_min in down], most).point for family in families]
     up = sorted(grid.b_max)
@@ -195,16 +205,37 @@ def tune(
 
 def numbers(result: Result) -> dict[str, float]:
     """Return what tuning needs of a run."""
-    metrics = evaluate(result).as_dict()
-    return {**{name: float(metrics[name]) for name in MEASURES}, "kept": float(kept_upright(result))}
+    metrics = evaluate(result)
+    values = metrics.as_dict()
+    return {
+        **{name: float(values[name]) for name in MEASURES},
+        "kept": float(kept_upright(result)),
+        "steady": float(metrics.steady),
+        "duration": float(result.time[-1] - result.time[0]),
+    }
 
 
-def _outcome(point: Point, draws: Sequence[Numbers], measure: str) -> Outcome:
-    def median(name: str) -> float:
-        return float(np.median([counted(draw, name) for draw in draws]))
+def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: Problem) -> Outcome:
+    """Return the outcome of a point from the numbers of its draws and the LC's of the same draws."""
+    q = QUANTITIES[problem.measure]
+    kept = [draw for draw in draws if draw.get("kept")]
+    both = [(a, b) for a, b in zip(draws, linear, strict=True) if a.get("kept") and b.get("kept")]
+    steady = sum(not draw["steady"] for draw in kept) <= UNSTEADY * len(kept)
+    if 2 * len(kept) < len(draws) or not kept or (q.of_window and not steady):
+        return Outcome(point, math.inf, math.inf, len(kept), len(draws), steady)
+    rms = q.over_draws == "rms"
+    measured = np.array([_number(draw, q) for draw in kept])
+    measure = (root_mean_square if rms else mean)(measured).value
+    pairs = np.array([[_number(draw, q) for draw in pair] for pair in both]).reshape(-1, 2)
+    over = (rms_change if rms else change)(pairs[:, 0], pairs[:, 1])
+    never = q.never and all(math.isnan(draw[q.name]) for draw in kept)
+    chattering = float(np.mean([draw[CHATTERING] for draw in kept]))
+    return Outcome(point, math.inf if never else measure, chattering, len(kept), len(draws), steady, over)
 
-    kept = sum(bool(draw.get("kept")) for draw in draws)
-    return Outcome(point, median(measure), median(CHATTERING), kept, len(draws))
+
+def _number(draw: Numbers, q: Quantity) -> float:
+    value = draw[q.name]
+    return draw["duration"] if math.isnan(value) and q.never else value
 
 
 def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
@@ -222,26 +253,30 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
 
     FMUs that lie beside the tuned scenario are copied beside the new one.
     """
-    lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},{CHATTERING},kept,draws,stop"]
+    lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},over_lc,interval,{CHATTERING},kept,draws,stop"]
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
-        row = (*point, o.measure, o.chattering, o.kept, o.draws, int(point in tuning.stops))
+        over = (o.over_linear.value, o.over_linear.half_width)
+        row = (*point, o.measure, *over, o.chattering, o.kept, o.draws, int(point in tuning.stops))
         lines.append(",".join(map(repr, row)))
-    write_file(folder / "tuning.csv", "\n".join(lines) + "\n")
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
-    design.save(folder / "best.json")
-    for path in files(problem.scenario, problem.fmus, problem.folder)[:2]:
-        if path.parent.absolute() != problem.fmus.absolute():
-            write_file(folder / path.name, path.read_bytes())
     own = {"controller.design": "best.json", "record.every": 1}
     start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
     start = {f"controller.start.{name}": value for name, value in start.items()}
-    write_file(folder / "best.toml", problem.scenario.changed({**own, **start}).to_toml())
+    scenario = problem.scenario.changed({**own, **start}).to_toml()
+    used = files(problem.scenario, problem.fmus, problem.folder)[:2]
+    fmus = [path for path in used if path.parent.absolute() != problem.fmus.absolute()]
     title = (
-        f"{problem.scenario.name}: {tuning.measure} and chattering, medians of {problem.draws} draws\n"
+        f"{problem.scenario.name}: {QUANTITIES[tuning.measure].symbol} and chattering, means of {problem.draws} draws\n"
         "square: where the rule stops; triangle: there with b_max raised"
     )
-    save_figure(_landscape(tuning), folder / "landscape.png", title)
+    with staging(folder) as place:
+        write_file(place / "tuning.csv", "\n".join(lines) + "\n")
+        for path in fmus:
+            write_file(place / path.name, path.read_bytes())
+        write_file(place / "best.toml", scenario)
+        design.save(place / "best.json")
+        save_figure(_landscape(tuning), place / "landscape.png", title)
     return [folder / name for name in ("tuning.csv", "landscape.png", "best.toml", "best.json")]
 
 
@@ -256,25 +291,25 @@ def _landscape(tuning: Tuning) -> Figure:
                 (o for p, o in tuning.outcomes.items() if (p.mu, p.u_max, p.b_max) == (mu, u_max, 1.0)),
                 key=lambda o: -o.point.a_min,
             )
-            stop = tuning.outcomes[stops[mu, u_max]]
+            stop, colour = tuning.outcomes[stops[mu, u_max]], OTHERS[number % len(OTHERS)]
             for row, name in enumerate(("measure", "chattering")):
                 axis = panels[row, column]
                 values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
                 a_mins = [o.point.a_min for o in curve]
                 label = f"|k x| ≤ {u_max:g} V on the unit ball"
-                axis.plot(a_mins, values, "o-", ms=3, lw=1, color=f"C{number}", label=label)
+                axis.plot(a_mins, values, "o-", ms=3, lw=1, color=colour, label=label)
                 if stop.point.b_max == 1.0:
-                    axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=f"C{number}")
+                    axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=colour)
                 else:
-                    axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=f"C{number}")
+                    axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=colour)
         panels[0, column].set_title(f"μ = {mu:g}", fontsize="medium")
         panels[1, column].set_xlabel("$a_{min}$ (1: the LC)")
     for axis in panels.flat:
         axis.set_yscale("log")
         axis.grid(alpha=0.3, which="both")
     panels[0, 0].invert_xaxis()
-    panels[0, 0].set_ylabel(f"{tuning.measure}")
-    panels[1, 0].set_ylabel("voltage variation [V/s]")
+    panels[0, 0].set_ylabel(QUANTITIES[tuning.measure].heading)
+    panels[1, 0].set_ylabel(QUANTITIES[CHATTERING].heading)
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure

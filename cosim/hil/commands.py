@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fmu_export.files import staging, uninterrupted
 from fmu_export.variables import did_you_mean
 
-from ..display import console, escaped, print_metrics, print_results, problems, progress
+from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes, show_table
 from ..errors import UserError
 from ..options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
@@ -99,7 +100,7 @@ def hil(
 
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
-    from ..scenario import build_system, load_scenario
+    from ..scenario import build_system, load_scenario, remarks
     from .settings import Settings
 
     if on_fall not in ("swing-up", "stop"):
@@ -110,7 +111,9 @@ def hil(
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
     if chosen.plant.measurement != "encoders":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    component, plant = build_system(chosen, fmus, folder, controller).components
+    system = build_system(chosen, fmus, folder, controller)
+    component, plant = system.components
+    say_notes(remarks(system))
     settings = Settings(
         rate=rate,
         duration=duration,
@@ -180,10 +183,10 @@ def _run(
 
     output.mkdir(parents=True, exist_ok=True)
     for path, rows in recover(output):
-        if rows is None:
-            problems.print(f"[yellow]note:[/] {path} is not the log of a run; it stays as it is")
+        if isinstance(rows, str):
+            problems.print(f"[yellow]note:[/] {escaped(rows)}; the file stays as it is")
         else:
-            console.print(f"recovered {rows} rows of a run that was killed: {path}")
+            console.print(f"recovered {rows} rows of a run that was killed: {escaped(path)}")
     path = free_path(output, "run")
     loop = Loop(
         device,
@@ -202,13 +205,15 @@ def _run(
         loop.log.close()
         if live is not None:
             live.wait()
-    try:
-        if len(report.result.time):
-            report.result.save(path)
-    except OSError:
-        problems.print(f"the rows are safe in {loop.log.path}; the next run into this folder makes a result of them")
-        raise
-    loop.log.discard()
+    with uninterrupted():
+        try:
+            if len(report.result.time):
+                report.result.save(path)
+        except UserError:
+            where = escaped(loop.log.path)
+            problems.print(f"the rows are safe in {where}; the next run into this folder makes a result of them")
+            raise
+        loop.log.discard()
     _print_report(report, path)
     if report.stop == "signal" and not report.failures:
         raise typer.Exit(128 + report.signal)
@@ -217,8 +222,6 @@ def _run(
 
 
 def _print_report(report: Report, path: Path) -> None:
-    from rich.table import Table
-
     from ..metrics import can_evaluate
     from ..plots import save_overview
 
@@ -237,14 +240,10 @@ def _print_report(report: Report, path: Path) -> None:
     if not len(result.time):
         console.print("no sample was taken, so there is no log to look at")
         return
-    table = Table(title=escaped("timing of the run [us]"), title_justify="left")
-    for heading in ("", "p50", "p99", "p99.9", "max"):
-        table.add_column(heading, justify="right" if heading else "left")
     names = {"lateness": "sample read late", "latency": "sample to command", "step_time": "controller's step"}
-    for name, text in names.items():
-        if about["timing"][name]:
-            table.add_row(text, *(f"{1e6 * value:.1f}" for value in about["timing"][name].values()))
-    console.print(table)
+    timing = {text: about["timing"][name] for name, text in names.items() if about["timing"][name]}
+    rows = [[text, *(f"{1e6 * value:.1f}" for value in values.values())] for text, values in timing.items()]
+    show_table("timing of the run [us]", ("", "p50", "p99", "p99.9", "max"), rows)
     console.print(
         f"missed periods: {about['missed']} of {len(result.time) - 1 + about['missed']}{_elsewhere(result)}",
         highlight=False,
@@ -252,11 +251,12 @@ def _print_report(report: Report, path: Path) -> None:
     )
     for name, count in about["counters"].items():
         if count:
-            console.print(f"{name}: {count}", highlight=False)
-    console.print(f"wrote {path} and {path.with_suffix('.json')}", soft_wrap=True)
+            console.print(f"{escaped(name)}: {count}", highlight=False)
+    console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}", soft_wrap=True)
     if can_evaluate(result) and len(result.time) > 1:
         if "controller.homogeneous_norm" in result.signals:
-            console.print(f"wrote {save_overview(result, path.with_suffix('.png'), about['device'])}", soft_wrap=True)
+            picture = save_overview(result, path.with_suffix(".png"), about["device"])
+            console.print(f"wrote {escaped(picture)}", soft_wrap=True)
         print_metrics(result)
 
 
@@ -339,8 +339,8 @@ def replay(run: RunArgument, controller: ControllerOption = None, fmus: FmusOpti
         return
     first = found.first
     console.print(
-        f"not exact: {found.differing} of {found.samples} rows differ, the first at {first.time:g} s: {first.name} is "
-        f"{first.logged!r} in the log and {first.replayed!r} in the replay",
+        f"not exact: {found.differing} of {found.samples} rows differ, the first at {first.time:g} s: "
+        f"{escaped(first.name)} is {first.logged!r} in the log and {first.replayed!r} in the replay",
         soft_wrap=True,
     )
     raise typer.Exit(FAILED)
@@ -380,13 +380,14 @@ def overlay(
             lambda done, total: bar.update(task, completed=done, total=total),
         )
     folder = output or run.with_name(f"{run.stem}_overlay")
-    simulated.save(folder / "simulation.csv")
     both = {"device": measured, "simulation": as_seen(simulated, measured)}
-    save_comparison(both, folder, f"{run.name} and its simulation with {chosen}")
+    with staging(folder) as place:
+        simulated.save(place / "simulation.csv")
+        save_comparison(both, place, f"{run.name} and its simulation with {chosen}")
     print_results(both)
     for name, value in differences(measured, simulated).items():
-        console.print(f"RMS difference of {name}: {value:.4g} {measured.units[name]}", highlight=False)
-    console.print(f"simulation and pictures in {folder}", soft_wrap=True)
+        console.print(f"RMS difference of {name}: {value:.4g} {escaped(measured.units[name])}", highlight=False)
+    console.print(f"simulation and pictures in {escaped(folder)}", soft_wrap=True)
 
 
 def identify(
@@ -404,8 +405,6 @@ def identify(
 
     The file goes into `--parameters` of `export` and `overlay`, or `plant.parameters` of a scenario.
     """
-    from rich.table import Table
-
     from plant_fmu.parameters import QubeParameters
 
     from .. import parameter_files
@@ -424,14 +423,12 @@ def identify(
         )
     path = output or run.with_name(f"{run.stem}_parameters.toml")
     parameter_files.save(path, found.parameters)
-    table = Table(title=f"{run.name}: parameters and 95 % confidence intervals", title_justify="left")
-    for heading in ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"):
-        table.add_column(heading, justify="left" if heading in ("parameter", "unit") else "right")
+    headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
     units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
     for name, e in found.estimates.items():
         numbers = (e.value, e.low, e.high, getattr(start.parameters, name))
-        table.add_row(name, *(f"{number:.4g}" for number in numbers), units[name])
-    console.print(table)
+        rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
+    show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
     unknown = [name for name, e in found.estimates.items() if not e.identifiable]
     if unknown:
         problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
@@ -440,4 +437,4 @@ def identify(
         f"{found.segments} segments; one encoder count is {RESOLUTION:.3g} rad",
         soft_wrap=True,
     )
-    console.print(f"wrote {path}", soft_wrap=True)
+    console.print(f"wrote {escaped(path)}", soft_wrap=True)

@@ -142,8 +142,10 @@ def identify(
             progress(trials, problem.rms(r))
         return r
 
+    if not problem.can_start():
+        raise UserError(f"the log cannot be simulated with the set {start.name}; is it the log of this plant?")
+    rms_before = problem.rms_without_bias()
     try:
-        rms_before = problem.rms_without_bias()
         found = least_squares(
             residuals,
             problem.first,
@@ -153,10 +155,8 @@ def identify(
             xtol=TOLERANCE,
             ftol=TOLERANCE,
         )
-    except (ValueError, np.linalg.LinAlgError):
-        raise UserError(
-            f"the log cannot be simulated with the set {start.name}; is it the log of this plant?"
-        ) from None
+    except np.linalg.LinAlgError:
+        raise UserError(f"no parameters near the set {start.name} fit the log; is it the log of this plant?") from None
     estimates = problem.estimates(found.x)
     named = ", ".join(names)
     fitted = ParameterSet(
@@ -362,14 +362,14 @@ class _Problem:
         """Return the RMS of residuals [rad] over the rows that the log has."""
         return float(np.sqrt(np.sum(r * r) / np.count_nonzero(self.seen)))
 
-    def rms_without_bias(self) -> float:
-        """Return the RMS of the residuals [rad] with the start set, the initial states and b the best.
+    def can_start(self) -> bool:
+        """Whether the residuals with the start set are finite."""
+        self.residuals(self.at_start)
+        return bool(self.solved)
 
-        Raises ValueError where they are not finite.
-        """
+    def rms_without_bias(self) -> float:
+        """Return the RMS of the residuals [rad] with the start set, the initial states and b the best."""
         r = self.residuals(self.at_start)
-        if not self.solved:
-            raise ValueError("residuals are not finite")
         by_bias = self.jacobian(self.at_start)[:, -1]
         return self.rms(r - by_bias * (by_bias @ r) / (by_bias @ by_bias))
 

@@ -1,8 +1,8 @@
 """The log of a run: rows packed into a file mapped to memory, so that a killed process loses none; then a Result.
 
 The file begins with a magic number, the length of a JSON header (the columns, what the run is) and that header; rows of a
-fixed size follow. A row ends with its number, from 1 on, so that a row without it was not finished. While a process has the
-file open it holds a lock on it.
+fixed size follow. A row ends with its number, from 1 on, and the CRC-32 of all before; a row without them was not finished.
+The header has a CRC-32 too. While a process has the file open it holds a lock on it.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import mmap
 import os
 import struct
 import sys
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +30,9 @@ from ..room import check_disk, check_memory
 from ..typed import checked
 from .scaling import RESOLUTION, delta_of, theta_of
 
-MAGIC = b"QUBEROWS"
+MAGIC = b"QUBEROW2"
 _HEAD = struct.Struct("<8sQ")
+_CRC = struct.Struct("<I")
 
 TIMING = ("tick", "due", "woke", "latency", "step_time", "steps", "arm", "pendulum", "digital")
 """Whole-number columns of a row: the device's tick; when its sample was due and when it was read [ns], from the sample to
@@ -53,13 +55,13 @@ class Layout:
 
     @property
     def row(self) -> struct.Struct:
-        """The form of a row, little-endian; its number comes last."""
+        """The form of a row, little-endian; its number and its CRC come last."""
         whole, real = len(TIMING) + len(self.integers), len(MEASURED) + len(self.reals)
-        return struct.Struct(f"<{len(TIMING)}q{real}d{whole - len(TIMING)}qQ")
+        return struct.Struct(f"<{len(TIMING)}q{real}d{whole - len(TIMING)}qII")
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The columns in the order of a row, without the number; the controller's cannot be taken for the others."""
+        """The columns in the order of a row, without number and CRC; the controller's cannot be taken for the others."""
         return (*TIMING, *MEASURED, *(f"controller.{name}" for name in (*self.reals, *self.integers)))
 
 
@@ -71,9 +73,8 @@ class RowLog:
         self.path, self.layout = path.absolute(), layout
         self.struct = layout.row
         self.capacity = rows
-        header = json.dumps(
-            {"reals": layout.reals, "integers": layout.integers, "units": dict(layout.units), "about": about}
-        ).encode()
+        columns = {"reals": layout.reals, "integers": layout.integers, "units": dict(layout.units), "about": about}
+        header = json.dumps({**columns, "crc32": _crc(columns)}).encode()
         self.begin = _HEAD.size + len(header)
         size = self.begin + rows * self.struct.size
         hint = "a shorter duration or a lower rate would do"
@@ -105,7 +106,10 @@ class RowLog:
         """Pack one row; beyond the capacity nothing is kept."""
         rows = self.rows
         if rows < self.capacity:
-            self.struct.pack_into(self.buffer, self.begin + rows * self.struct.size, *values, rows + 1)
+            begin = self.begin + rows * self.struct.size
+            end = begin + self.struct.size - _CRC.size
+            self.struct.pack_into(self.buffer, begin, *values, rows + 1, 0)
+            _CRC.pack_into(self.buffer, end, zlib.crc32(self.buffer[begin:end]))
             self.rows = rows + 1
 
     def close(self) -> None:
@@ -143,7 +147,7 @@ class LiveLog:
 
     def newest(self) -> dict[str, float] | None:
         """Return the newest finished row by column; None before the first."""
-        while self.rows < self.capacity and self._unpacked(self.rows)[-1] == self.rows + 1:
+        while self.rows < self.capacity and self._unpacked(self.rows)[-2] == self.rows + 1:
             self.rows += 1
         return self.row(self.rows - 1) if self.rows else None
 
@@ -167,6 +171,8 @@ def _read_header(buffer: mmap.mmap | bytes, path: Path) -> tuple[Layout, dict[st
         raise UserError(f"{path} is not the log of a run")
     data = parse_json(decoded(bytes(buffer[_HEAD.size : begin]), path), path)
     header = checked(_Header, data, path)
+    if data.pop("crc32", None) != _crc(data):
+        raise UserError(f"the log {path} is damaged: its header does not fit its checksum")
     if header.about.step is None:
         raise UserError(f"{path}: about.step is required")
     names = [*header.reals, *header.integers]
@@ -185,16 +191,36 @@ class _Header(BaseModel):
     about: Provenance
 
 
+def _crc(header: Mapping[str, Any]) -> int:
+    """Return the checksum of a header without its own."""
+    return zlib.crc32(json.dumps(header).encode())
+
+
 def rows_of(content: bytes, path: Path) -> tuple[Layout, dict[str, Any], np.ndarray]:
-    """Return layout, header and the finished rows of a log's bytes, as a structured array by column."""
+    """Return layout, header and the finished rows of a log's bytes, as a structured array by column.
+
+    Raises UserError for what is no log, and where a row before the last finished one does not fit its checksum.
+    """
     layout, about, begin = _read_header(content, path)
     whole = {*TIMING, *(f"controller.{name}" for name in layout.integers)}
     types = [(name, "<i8" if name in whole else "<f8") for name in layout.names]
-    dtype = np.dtype([*types, ("number", "<u8")])
+    dtype = np.dtype([*types, ("number", "<u4"), ("crc", "<u4")])
     room = (len(content) - begin) // dtype.itemsize
     table = np.frombuffer(content, dtype=dtype, count=room, offset=begin)
-    finished = np.flatnonzero(table["number"] != np.arange(1, room + 1))
-    return layout, about, table[: finished[0] if finished.size else room]
+    sound = _sound(content[begin : begin + room * dtype.itemsize], dtype.itemsize)
+    sound &= table["number"] == np.arange(1, room + 1)
+    rows = int(np.argmin(sound)) if not sound.all() else room
+    if sound[rows:].any():
+        raise UserError(f"the log {path} is damaged: row {rows + 1} does not fit its checksum, later ones do")
+    return layout, about, table[:rows]
+
+
+def _sound(rows: bytes, size: int) -> np.ndarray:
+    """Return which of the rows of `size` bytes fit the checksum at their end."""
+    view = memoryview(rows)
+    found = [zlib.crc32(view[at : at + size - _CRC.size]) for at in range(0, len(rows), size)]
+    kept = np.frombuffer(rows, np.uint8).reshape(-1, size)[:, -_CRC.size :].copy().view("<u4").ravel()
+    return np.array(found, dtype=np.uint32) == kept
 
 
 def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Result:
@@ -254,20 +280,21 @@ def free_path(folder: Path, stem: str) -> Path:
         number += 1
 
 
-def recover(folder: Path) -> list[tuple[Path, int | None]]:
+def recover(folder: Path) -> list[tuple[Path, int | str]]:
     """Turn the logs that killed runs left in `folder` into results; return (file, rows) of each.
 
-    Logs that a living process holds are left alone, and so is what is no log: its rows are None.
+    Logs that a living process holds are left alone, and so is what is no log or damaged: a sentence says so in place of
+    its rows.
     """
-    recovered: list[tuple[Path, int | None]] = []
+    recovered: list[tuple[Path, int | str]] = []
     for path in sorted(folder.glob("*.rows")):
         with path.open("r+b") as file:
             if not _lock(file):
                 continue
             try:
                 layout, about, rows = rows_of(file.read(), path)
-            except UserError:
-                recovered.append((path, None))
+            except UserError as error:
+                recovered.append((path, str(error)))
                 continue
             target = path.with_suffix(".csv")
             if target.exists():  # saved, but for what a killed run did last

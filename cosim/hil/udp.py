@@ -85,9 +85,16 @@ def address_of(text: str) -> Address:
     host, colon, port = text.rpartition(":")
     if not colon:
         host, port = text, str(DEFAULT_PORT)
-    if not host or not port.isdigit() or not 0 <= int(port) < 65536:
+    if not _is_host(host) or not (port.isascii() and port.isdigit() and len(port) < 6 and int(port) < 65536):
         raise UserError(f"an address is host:port, as in 127.0.0.1:{DEFAULT_PORT}, found {text!r}")
     return host, int(port)
+
+
+def _is_host(host: str) -> bool:
+    try:
+        return bool(host.encode("idna"))
+    except UnicodeError:  # an empty or too long part between dots
+        return False
 
 
 class UdpDevice:

@@ -16,7 +16,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fmu_export.files import write_file
+from fmu_export.files import staging, write_file
 from ihc_fmu.design import largest_alpha
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import parameter_set
@@ -65,14 +65,15 @@ class Section:
 def make(study: Study, report: Report | None = None) -> list[Claim]:
     """Run all experiments of `study` that its journal does not hold, write its folder, return the verdicts.
 
-    The journal `runs.jsonl` grows with each finished run, so that a repetition continues where this one was stopped.
+    The journal `runs.sqlite` grows with each finished run, so that a repetition continues where this one was stopped. What
+    is made of the runs reaches the folder together, the report last.
     """
     say = report or (lambda _what, _done, _total: None)
     for fmu in (study.base.plant.fmu, study.base.controller.fmu):
         describe(study.fmus / fmu)  # says what is missing before anything is written
     study.prepare()
     found: dict[Key, dict[str, float]] = {}
-    with Journal(study.folder / "runs.jsonl", PURPOSE) as journal:
+    with Journal(study.folder / "runs.sqlite", PURPOSE) as journal:
         for experiment, keys in study.keys().items():
             name = EXPERIMENT_NAMES[experiment]
             found |= study.run(keys, journal, lambda done, total, name=name: say(name, done, total))
@@ -86,16 +87,22 @@ def make(study: Study, report: Report | None = None) -> list[Claim]:
     claims = [*judge.claims(), *theory.claims()]
     say("tables, figures, report", 1, 4)
     sections = _sections(study, found, judge, claims, theory, runs, pictures)
-    for section in sections:
-        for table in section.tables:
-            table.save(study.folder)
-    tables.draws_table(found).save_csv(study.folder)
-    for key in references:
-        study.save_scenario(key)
-    say("tables, figures, report", 2, 4)
-    figures.save_all(study.folder, pictures, found, study, tables.ranking_names(found))
-    say("tables, figures, report", 3, 4)
-    write_file(study.folder / "report.html", _page(study, sections, claims, pictures, len(found)))
+    with staging(study.folder, last="report.html") as place:
+        for section in sections:
+            for table in section.tables:
+                table.save(place)
+        tables.draws_table(found).save_csv(place)
+        for key in references:
+            study.save_scenario(key, place)
+        say("tables, figures, report", 2, 4)
+        figures.save_all(place, pictures, found, study, tables.ranking_names(found))
+        say("tables, figures, report", 3, 4)
+        images = {
+            name: base64.b64encode((place / name).read_bytes()).decode("ascii")
+            for section in sections
+            for name in section.figures
+        }
+        write_file(place / "report.html", _page(study, sections, claims, pictures, images, len(found)))
     say("tables, figures, report", 4, 4)
     return claims
 
@@ -112,7 +119,12 @@ def _theory(study: Study) -> tuple[Theory, dict[str, dict[str, float]]]:
     gains = gain_readings()
     norms = norm_readings(study.designs["paper.json"].P)
     tilt = load_scenario(str(BUILT_IN / "tilt.toml"))[0].changed(
-        {"run.duration": 10.0, "controller.design": "paper.json", "controller.start.swing_up_enabled": False}
+        {
+            "run.duration": 10.0,
+            "plant.parameters": REFERENCE[0],
+            "controller.design": "paper.json",
+            "controller.start.swing_up_enabled": False,
+        }
     )
     jobs: list[Job[str]] = []
     for reading in (*gains, *norms):
@@ -223,16 +235,12 @@ def _page(
     sections: Sequence[Section],
     claims: Sequence[Claim],
     pictures: Mapping[tuple[float, str], Result],
+    images: Mapping[str, str],
     runs: int,
 ) -> str:
     environment = Environment(
         loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    images = {
-        name: base64.b64encode((study.folder / name).read_bytes()).decode("ascii")
-        for section in sections
-        for name in section.figures
-    }
     sources = dict.fromkeys(key for claim in claims for key in claim.runs)
     scenarios = {scenario_name(key): study.scenario(key).to_toml() for key in sources}
     about = study.designs["paper.json"]

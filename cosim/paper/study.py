@@ -225,10 +225,10 @@ class Study:
             changes |= draw_changes(key.draw, key.parameters, delta_0)
         return self.base.changed(changes)
 
-    def save_scenario(self, key: Key) -> Path:
-        """Write the scenario of a run as TOML and return its path."""
+    def save_scenario(self, key: Key, folder: Path | None = None) -> Path:
+        """Write the scenario of a run as TOML below `folder`, None: the study's own, and return its path."""
         scenario = self.scenario(key)
-        path = self.scenarios / f"{scenario.name}.toml"
+        path = (folder or self.folder) / self.scenarios.name / f"{scenario.name}.toml"
         write_file(path, scenario.to_toml())
         return path
 

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+import shutil
+import signal
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from .errors import UserError
+
+Content = str | bytes | Iterable[bytes]
+"""Text (UTF-8), bytes, or pieces of bytes."""
 
 
 @contextmanager
@@ -20,29 +26,146 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
     file of that name stays until then. Folders on the way are made. Raises UserError that names `path` where it cannot be
     written.
     """
+    with _beside(path) as (file, beside), _named(path):
+        yield file
+        _finish(file)
+        beside.replace(path)
+
+
+def write_file(path: Path, content: Content) -> None:
+    """Write `content` to `path`, whole or not at all; raises as `replacing` does."""
+    write_files({path: content})
+
+
+def write_files(contents: Mapping[Path, Content]) -> None:
+    """Write files of one folder that belong together: all are on the disk before the first gets its name.
+
+    They get their names in the order given, undisturbed by Ctrl-C and by another process that writes there in the same
+    way; of a file that describes the others the place is last. Raises as `replacing` does, and then all earlier files are
+    as they were.
+    """
+    with uninterrupted(), ExitStack() as stack:
+        staged = {path: stack.enter_context(_beside(path)) for path in contents}
+        for path, content in contents.items():
+            with _named(path):
+                file = staged[path][0]
+                file.writelines(_pieces(content))
+                _finish(file)
+        for folder in {path.parent for path in contents}:
+            stack.enter_context(_alone_in(folder))
+        for path, (_, beside) in staged.items():
+            with _named(path):
+                beside.replace(path)
+
+
+@contextmanager
+def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
+    """Give a hidden folder for files that belong together; where the block ends well they all go to `folder`.
+
+    Files of the same names are replaced, others stay. The file `last`, which describes the others, comes last; otherwise
+    the order is that of the names. Where the block does not end well `folder` is as it was. Raises as `replacing` does.
+    """
+    with _named(folder):
+        made = [place for place in (folder, *folder.parents) if not place.exists()]
+    place = folder / f".{secrets.token_hex(6)}.tmp"
     try:
+        with _named(folder):
+            place.mkdir(parents=True)
+        try:
+            yield place
+        except UserError as error:
+            raise UserError(str(error).replace(str(place), str(folder))) from error.__cause__
+        names = sorted(path.relative_to(place) for path in place.rglob("*") if path.is_file())
+        with _named(folder):
+            for name in names:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        with uninterrupted(), _alone_in(folder):
+            for name in sorted(names, key=lambda name: str(name) == last):
+                with _named(folder / name):
+                    (place / name).replace(folder / name)
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+        for empty in made:
+            with suppress(OSError):  # not empty: the block ended well, or others wrote there meanwhile
+                empty.rmdir()
+
+
+def is_file(path: Path) -> bool:
+    """Return whether `path` is a file; a name that cannot be one, such as one too long, is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Put Ctrl-C off until the block has ended; in threads, which it does not reach, do nothing."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    earlier = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, earlier)
+    if received:
+        signal.raise_signal(signal.SIGINT)
+
+
+@contextmanager
+def _beside(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
+    """Give a new file beside `path` and its path; it is closed and, where it still has that name, removed at the end."""
+    with _named(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise UserError(f"{path} cannot be written: it is a folder")
-        beside = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}.tmp")
-        try:
-            with beside.open("xb") as file:
-                yield file
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(path)
-        finally:
+        beside = path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}.tmp")
+        file = beside.open("xb")
+    try:
+        with file:
+            yield file, beside
+    finally:
+        with _named(path):
             beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Turn an operating system's error into one that names the user's file."""
+    try:
+        yield
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def write_file(path: Path, content: str | bytes | Iterable[bytes]) -> None:
-    """Write text (UTF-8), bytes, or pieces of bytes to `path`, whole or not at all; raises as `replacing` does."""
-    with replacing(path) as file:
-        if isinstance(content, str):
-            file.write(content.encode("utf-8"))
-        elif isinstance(content, bytes):
-            file.write(content)
-        else:
-            file.writelines(content)
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Wait until no other process renames files into `folder` in this block, where the system has locks on folders."""
+    try:
+        import fcntl  # noqa: PLC0415
+
+        descriptor = os.open(folder, os.O_RDONLY)
+    except (ImportError, OSError):
+        yield
+        return
+    try:
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _pieces(content: Content) -> Iterable[bytes]:
+    if isinstance(content, str):
+        return [content.encode("utf-8")]
+    return [content] if isinstance(content, bytes) else content
+
+
+def _finish(file: IO[bytes]) -> None:
+    """See the file to the disk and close it, as Windows wants it before it is renamed."""
+    file.flush()
+    os.fsync(file.fileno())
+    file.close()

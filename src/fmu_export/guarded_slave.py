@@ -26,7 +26,7 @@ from pythonfmu.fmi2slave import Fmi2Slave
 
 from .variables import Interface, Value, Variable
 
-STATE_FORMAT = 1
+STATE_FORMAT = 2
 MANIFEST = "manifest.json"
 
 _finalized: set[str] = set()
@@ -129,16 +129,20 @@ class GuardedSlave(Fmi2Slave):
         self._phase = "instantiated"
         self._experiment_set = False
         self._time = 0.0
+        self._stop: float | None = None
         self._unit: Unit | None = None
 
-    # The call order of FMI 2.0.2, section 4.2.4
+    # The call order of FMI 2.0.5, section 4.2.4
 
     @_guarded
     def setup_experiment(self, start_time: float, stop_time: float | None, tolerance: float | None) -> None:
-        """Take the start time [s]; it must be finite."""
+        """Take the start time [s], which must be finite, and the stop time where one is defined."""
         self._require("instantiated", doing="setupExperiment")
         if not math.isfinite(start_time):
             raise ValueError(f"the start time must be finite, found {start_time}")
+        if stop_time is not None and not stop_time >= start_time:
+            raise ValueError(f"the stop time must not be before the start time {start_time} s, found {stop_time}")
+        self._stop = stop_time
         self._experiment_set = True
         self._time = start_time
 
@@ -168,6 +172,8 @@ class GuardedSlave(Fmi2Slave):
             raise ValueError(
                 f"time must not jump: the last step ended at {self._time!r} s, this begins at {current_time!r} s"
             )
+        if self._stop is not None:
+            self._check_stop(current_time + step_size, step_size)
         values = self._values
         messages = self._unit.step(current_time, step_size, tuple([values[vr] for vr in self._inputs]))  # type: ignore[union-attr]
         self._time = current_time + step_size
@@ -242,6 +248,7 @@ class GuardedSlave(Fmi2Slave):
             "phase": self._phase,
             "experiment_set": self._experiment_set,
             "time": self._time,
+            "stop": self._stop,
             "values": list(self._values),
             "unit": None if self._unit is None else self._unit.get_state(),
         }
@@ -255,6 +262,7 @@ class GuardedSlave(Fmi2Slave):
         self._phase = state["phase"]
         self._experiment_set = state["experiment_set"]
         self._time = state["time"]
+        self._stop = state["stop"]
         self._values = list(state["values"])
         self._unit = None
         if state["unit"] is not None:
@@ -289,6 +297,12 @@ class GuardedSlave(Fmi2Slave):
     def _require(self, phase: str, doing: str) -> None:
         if self._phase != phase:
             raise ValueError(f"{doing} is allowed in the state {phase!r}, found the state {self._phase!r}")
+
+    def _check_stop(self, end: float, step: float) -> None:
+        """Refuse a step that ends beyond the stop time by more than rounding."""
+        stop = self._stop
+        if stop is not None and not end <= stop + 1e-6 * step + 1e-12 * abs(stop):
+            raise ValueError(f"a step must not pass the stop time {stop!r} s, found one that ends at {end!r} s")
 
     def _values_by_name(self) -> dict[str, Value]:
         return {v.name: self._values[vr] for vr, v in enumerate(self._variables)}

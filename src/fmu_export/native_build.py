@@ -36,6 +36,7 @@ FLAGS = (
     "-fomit-frame-pointer",
     "-fno-sanitize=undefined",  # Zig's default traps in unoptimized builds
     "-fvisibility=hidden",
+    "-DFMI2_OVERRIDE_FUNCTION_PREFIX",  # the plain names of FMI
     "-g0",
 )
 """Strict C99; results do not depend on whether the machine can fuse multiplication and addition. Nobody reads errno."""

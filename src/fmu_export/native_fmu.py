@@ -7,11 +7,12 @@ start values are compiled in, so that an importer that rebuilds them needs no fi
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from .archive import content_guid, write_zip
 from .documentation import documentation
+from .errors import UserError
 from .model_description import Capabilities, model_description
 from .native_build import (
     BINARIES,
@@ -22,7 +23,7 @@ from .native_build import (
     host_platform,
     installed_library,
 )
-from .native_unit import NativeUnit, start_value_file, start_value_source, unit_files, variable_table
+from .native_unit import NativeUnit, start_value_file, start_value_source, unit_files
 from .variables import Value
 
 START_VALUES_SOURCE = "start_values.c"
@@ -36,20 +37,22 @@ def export_native_fmu(
     changes: Mapping[str, Value | str] | None = None,
     notes: str = "",
     platforms: Iterable[str] | None = None,
+    building: Callable[[str], object] | None = None,
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
-    has built; others are compiled now, by the package ziglang. `notes` is HTML for the FMU's documentation. The same
-    arguments give the same bytes. The file is written beside and renamed. Raises ValueError for start values that the
-    interface does not admit or that contradict each other and for unknown platforms, BuildError where there is no binary.
+    has built; others are compiled now, by the package ziglang; `building` is told which, before each. `notes` is HTML for
+    the FMU's documentation. The same arguments give the same bytes. The file is written beside and renamed. Raises
+    UserError for start values that the interface does not admit or that contradict each other and for unknown platforms,
+    BuildError where there is no binary.
     """
     interface = unit.interface
     start = interface.start_values(changes)
     unit.twin(start)
     version = importlib.metadata.version("qube-ihc")
     sources = {name: file.read_bytes() for name, file in unit.sources.items()}
-    sources[unit.table_name] = variable_table(unit).encode()
+    sources |= {name: text.encode() for name, text in unit.generated.items()}
     capabilities = Capabilities(
         needs_execution_tool=False,
         generation_tool=f"qube-ihc {version}",
@@ -59,6 +62,8 @@ def export_native_fmu(
     )
     files = {f"sources/{name}": text for name, text in sources.items()}
     for platform in _platforms(platforms):
+        if building is not None:
+            building(f"{interface.name} for {platform.name}")
         name = f"{interface.name}{platform.suffix}"
         files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
         if platforms is None and platform.name == "aarch64-linux":
@@ -78,7 +83,7 @@ def _platforms(names: Iterable[str] | None) -> list[Platform]:
     chosen = list(dict.fromkeys(names))
     for name in chosen:
         if name not in PLATFORMS and name != ALL:
-            raise ValueError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
+            raise UserError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
     return list(PLATFORMS.values()) if ALL in chosen else [PLATFORMS[name] for name in chosen]
 
 

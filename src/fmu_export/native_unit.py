@@ -46,20 +46,38 @@ class NativeUnit:
     def sources(self) -> dict[str, Path]:
         """Hand-written source files by name, the adapter's included, headers too."""
         own = [self.folder / f"{self.stem}{end}" for end in (".c", "_fmu.c", ".h")]
-        shared = [ADAPTER / name for name in (*ADAPTER_SOURCES, "fmu_instance.h", "fmu_unit.h")]
+        shared = [ADAPTER / name for name in (*ADAPTER_SOURCES, "fmu_instance.h", "fmu_names.h", "fmu_unit.h")]
         return {file.name: file for file in (*own, *shared)}
 
     @property
-    def table_name(self) -> str:
-        """Name of the generated header."""
-        return f"{self.stem}_table.h"
+    def generated(self) -> dict[str, str]:
+        """Texts of the generated headers by name."""
+        return {f"{self.stem}_table.h": variable_table(self), "fmu_model.h": model_header(self.interface)}
 
 
 def unit_files(unit: NativeUnit) -> dict[str, bytes]:
     """Return all files that a prebuilt binary of `unit` is made of, by name."""
     headers = sorted((ADAPTER / "fmi2").glob("*.h"))
     files = {f.name: f.read_bytes() for f in (*unit.sources.values(), ADAPTER / FROM_FILE, *headers)}
-    return files | {unit.table_name: variable_table(unit).encode()}
+    return files | {name: text.encode() for name, text in unit.generated.items()}
+
+
+def model_header(interface: Interface) -> str:
+    """Return the header with the unit's name, with which FMI wants the functions of a source FMU to begin."""
+    return f"""/* Generated: the name of this unit. In shared libraries the functions of FMI have their plain names, for which an importer
+ * defines FMI2_OVERRIDE_FUNCTION_PREFIX (FMI 2.0.5, section 2.1.1).
+ */
+#ifndef FMU_MODEL_H
+#define FMU_MODEL_H
+
+#define MODEL_IDENTIFIER "{interface.name}"
+#define FMU_PREFIX {interface.name}_
+#if !defined FMI2_FUNCTION_PREFIX
+#define FMI2_FUNCTION_PREFIX {interface.name}_
+#endif
+
+#endif
+"""
 
 
 def variable_table(unit: NativeUnit) -> str:
@@ -70,8 +88,6 @@ def variable_table(unit: NativeUnit) -> str:
     lines = [
         f"/* Generated from the interface of {unit.interface.name}: its variables, in the order of their references. */",
         "#include <math.h>",
-        "",
-        f'#define MODEL_IDENTIFIER "{unit.interface.name}"',
         "",
         "static const fmu_variable VARIABLES[] = {",
         *(f"    {_entry(unit, v, arrays)}," for v in unit.interface.variables),

@@ -41,7 +41,7 @@ def export_python_fmu(
     """Write the FMU of `slave` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `notes` is HTML for the FMU's documentation. The same arguments give the same bytes. The file is written beside and
-    renamed, so an interrupted export leaves an earlier file as it was. Raises ValueError for start values that the
+    renamed, so an interrupted export leaves an earlier file as it was. Raises UserError for start values that the
     interface does not admit or that contradict each other.
     """
     interface = slave.interface

@@ -28,30 +28,35 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 def read_bytes(path: Path, what: str, most: int = MOST_BYTES) -> bytes:
     """Return the bytes of a file; raise UserError, which calls the file `what`, for a missing or too large one."""
+    content = first_bytes(path, what, most + 1)
+    if len(content) > most:
+        raise UserError(f"{what} file {path} must not be larger than {most >> 20} MiB")
+    return content
+
+
+def first_bytes(path: Path, what: str, count: int) -> bytes:
+    """Return the first `count` bytes of a file, or all there are; raises as `read_bytes`."""
     try:
         with path.open("rb") as file:
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode):  # a pipe or a device, which may have any number of bytes
-                most = min(most, MOST_BYTES)
-                content = file.read(most + 1)
-            elif status.st_size <= most:
-                content = file.read()
-            else:
-                content = None
+            regular = os.fstat(file.fileno())
+            size = regular.st_size + 1 if stat.S_ISREG(regular.st_mode) else MOST_BYTES + 1  # a pipe never ends
+            return file.read(min(count, size))
     except FileNotFoundError:
         raise UserError(f"{what} file {path} does not exist") from None
     except OSError as error:
         raise UserError(f"{what} file {path} cannot be read: {error.strerror}") from None
     except ValueError:  # a NUL character
         raise UserError(f"{what} file {str(path)!r} cannot be: no file has such a name") from None
-    if content is None or len(content) > most:
-        raise UserError(f"{what} file {path} must not be larger than {most >> 20} MiB")
-    return content
 
 
 def read_text(path: Path, what: str, most: int = MOST_BYTES) -> str:
     """Return the text of a UTF-8 file, without its byte-order mark; raises as `read_bytes`, and for other encodings."""
     return decoded(read_bytes(path, what, most), path)
+
+
+def read_json(path: Path, what: str, most: int = MOST_BYTES) -> Any:
+    """Return the contents of a JSON file; raises as `read_text` and `parse_json`."""
+    return parse_json(read_text(path, what, most), path)
 
 
 def decoded(content: bytes, path: Path) -> str:
@@ -75,8 +80,11 @@ def parse_toml(text: str, source: object) -> dict[str, Any]:
     return data
 
 
-def parse_json(text: str, source: object) -> Any:
-    """Return the contents of JSON text as the standard has it: finite numbers, every key once; raise UserError."""
+def parse_json(text: str, source: object, *, finite: bool = True) -> Any:
+    """Return the contents of JSON text as the standard has it, every key once; raise UserError.
+
+    Numbers must be finite, as the standard has it, unless `finite` is false.
+    """
 
     def number(digits: str) -> int:
         if len(digits) > _MOST_DIGITS:
@@ -85,11 +93,13 @@ def parse_json(text: str, source: object) -> Any:
 
     def real(digits: str) -> float:
         value = float(digits)
-        if not math.isfinite(value):
+        if finite and not math.isfinite(value):
             raise UserError(f"{source} must have finite numbers, found {digits[:40]}")
         return value
 
-    def constant(name: str) -> NoReturn:
+    def constant(name: str) -> float:
+        if not finite:
+            return float(name)
         raise UserError(f"{source} must have finite numbers, found {name}")
 
     def table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -149,7 +149,7 @@ def largest_matched_disturbance(design: Design) -> float:
 def norm_of(design: Design, x: Array) -> float:
     """Return ||x||_d for the design's P and dilation."""
     Pz = to_chain(design.Phi.tolist(), design.P.tolist())
-    return homogeneous_norm(norm_polynomial(Pz, (design.Phi @ np.asarray(x, float)).tolist()), design.mu)
+    return homogeneous_norm(norm_polynomial(Pz, (design.Phi @ np.asarray(x, float)).tolist(), design.mu), design.mu)
 
 
 def settling_time_bound(design: Design, x0: Array) -> float:

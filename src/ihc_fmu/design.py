@@ -28,8 +28,13 @@ Array = np.ndarray
 FORMAT = "qube-ihc design 1"
 LARGEST = 1e300
 """Numbers of a file are smaller."""
+SCALES = (1e-9, 1e9)
+"""Bounds on what scales the problem: beyond, neither the solver nor double precision resolves it."""
 SLACK = 1e-6
 """Strictness demanded of the solver, relative: its result must satisfy the inequalities after rounding."""
+
+_QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""Numbers beyond the range end in a refusal by `checked_system`, `chain_form` or the certificate, not in warnings."""
 
 PAPER_A = ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 149.2751, -0.0104, 0.0), (0.0, 261.6091, -0.0103, 0.0))
 PAPER_B = (0.0, 0.0, 49.7275, 49.1493)
@@ -65,6 +70,7 @@ class Design:
     row: Array = field(init=False)
     certificate: Certificate = field(init=False)
 
+    @_QUIET
     def __post_init__(self) -> None:
         A, b = checked_system(self.A, self.b)
         n = len(b)
@@ -318,10 +324,15 @@ class Options:
             value = getattr(self, name)
             if value is not None and not 0.0 < value < np.inf:
                 raise UserError(f"{name} must be positive and finite, found {value}")
+        for name in ("u_max", "delta_max", "psi", "d_max"):  # 0 is for none
+            value = getattr(self, name)
+            if value and not SCALES[0] <= value <= SCALES[1]:
+                raise UserError(f"{name} must lie in [{SCALES[0]:g}, {SCALES[1]:g}], found {value}")
         if not 0.0 < self.beta < 1.0:
             raise UserError(f"beta must lie in (0, 1), found {self.beta}")
 
 
+@_QUIET
 def inverse_design(A: Array, b: Array, k_lin: Array, options: Options | None = None) -> Design:
     """Return the IHC that equals the stabilizing LC u = k_lin x on its unit sphere, eqs. (10) and (11).
 
@@ -339,6 +350,7 @@ def inverse_design(A: Array, b: Array, k_lin: Array, options: Options | None = N
     return _optimize(A, b, k_lin, options)
 
 
+@_QUIET
 def direct_design(A: Array, b: Array, options: Options | None = None) -> Design:
     """Return the IHC designed without a linear controller, eq. (9): k = y X^-1 with X and y free.
 
@@ -444,6 +456,7 @@ def _to_x(p: _Scaled, Pz: Array) -> Array:
     return (P + P.T) / 2
 
 
+@_QUIET
 def largest_alpha(A: Array, b: Array, k_lin: Array, mu: float = 1.0, tolerance: float = 1e-4) -> float:
     """Return the largest alpha [1/s] for which (11) has a solution, within the relative `tolerance`, from below.
 

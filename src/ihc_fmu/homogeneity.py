@@ -7,13 +7,17 @@ In chain coordinates z = Phi x with weights w_i = 1 + mu (n - i), and with s = r
 where c_m is the sum of z_i Pz_ij z_j over (n - i) + (n - j) = m and Pz = Phi^-T P Phi^-1. The coefficients are computed
 once per sample; each evaluation is then one polynomial. Under G_d' P + P G_d > 0, N decreases strictly in r.
 
+Squares leave the range of numbers long before states do. Where an entry of z is beyond ORDINARY, the coefficients are
+those of the dilated state d(-e ln 2) z, whose norm is 2^-e times that of z and near 1.
+
 Standard library only: this module travels inside the Python FMU.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, inf, isfinite, log, nan
+from math import exp, floor, frexp, inf, isfinite, ldexp, log, nan
+from typing import NamedTuple
 
 from fmu_export.errors import UserError
 
@@ -28,6 +32,31 @@ CONVERGED = 1e-9
 
 GUESSES = (1e-12, 1e12)
 """Range of starting values that are used."""
+
+ORDINARY = (2.0**-200, 2.0**200)
+"""Magnitudes of chain coordinates whose norm is computed without scaling; 0 is ordinary too."""
+
+NEGLIGIBLE = 2.0**-500
+"""A chain coordinate of a scaled state below this, beside others near 1, counts as 0."""
+
+FAR = 100
+"""Binary orders of magnitude between r and the norm of a scaled state beyond which N(r) is taken for 0 or infinite."""
+
+UNBOUNDED = 1e9
+"""Stands for the logarithm of a norm that is not known yet."""
+
+LARGEST = 1.7976931348623157e308
+"""The largest number: what a norm beyond it is given as."""
+
+SHIFT = 600
+"""States beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times themselves."""
+
+
+class NormPolynomial(NamedTuple):
+    """c_0, ..., c_{2n-2} of Remark 5's polynomial for the state d(-exponent ln 2) z."""
+
+    c: Vector
+    exponent: int = 0
 
 
 def solve(M: Matrix, B: Matrix) -> list[list[float]]:
@@ -80,8 +109,19 @@ def product(M: Matrix, x: Vector) -> list[float]:
     return [dot(row, x) for row in M]
 
 
-def norm_polynomial(Pz: Matrix, z: Vector) -> list[float]:
-    """Return c_0, ..., c_{2n-2} of Remark 5's polynomial for the state z (n,) in chain coordinates."""
+def shift_of(x: Vector) -> int:
+    """Return the power of 2 to take out of the state x before products with it may leave the range of numbers."""
+    size = max(map(abs, x))
+    if size > 2.0**SHIFT:
+        return SHIFT
+    return -SHIFT if 0.0 < size < 2.0**-SHIFT else 0
+
+
+def norm_polynomial(Pz: Matrix, z: Vector, mu: float, shift: int = 0) -> NormPolynomial:
+    """Return Remark 5's polynomial for the state 2^shift z, z (n,) in chain coordinates."""
+    exponent = 0
+    if shift != 0 or not all(ORDINARY[0] <= abs(entry) <= ORDINARY[1] or entry == 0.0 for entry in z):
+        z, exponent = scaled(Pz, z, mu, shift)
     n = len(z)
     c = [0.0] * (2 * n - 1)
     for i in range(n):
@@ -89,7 +129,28 @@ def norm_polynomial(Pz: Matrix, z: Vector) -> list[float]:
         c[2 * (n - 1 - i)] += row[i] * z_i * z_i
         for j in range(i + 1, n):
             c[2 * n - 2 - i - j] += 2.0 * row[j] * z_i * z[j]
-    return c
+    return NormPolynomial(c, exponent)
+
+
+def scaled(Pz: Matrix, z: Vector, mu: float, shift: int) -> tuple[list[float], int]:
+    """Return d(-e ln 2) 2^shift z and e, a multiple of 4 near the binary logarithm of the norm.
+
+    Exact where 4 mu is an integer: all factors are powers of 2. A state that is not finite is returned as it is.
+    """
+    n = len(z)
+    sizes = [
+        (frexp(z[i])[1] + shift + 0.5 * frexp(Pz[i][i])[1]) / (1.0 + mu * (n - 1 - i)) for i in range(n) if z[i] != 0.0
+    ]
+    if not sizes or not all(map(isfinite, z)):
+        return list(z), 0
+    e = 4 * floor(max(sizes) / 4.0 + 0.5)
+    entries = []
+    for i in range(n):
+        power = shift - e * (1.0 + mu * (n - 1 - i))
+        whole = floor(power)
+        entry = ldexp(z[i] * 2.0 ** (power - whole), whole)
+        entries.append(entry if abs(entry) >= NEGLIGIBLE else 0.0)
+    return entries, e
 
 
 def inverse_power(r: float, mu: float) -> float:
@@ -97,8 +158,14 @@ def inverse_power(r: float, mu: float) -> float:
     return 1.0 / r if mu == 1.0 else r**-mu
 
 
-def squared_norm(c: Vector, mu: float, r: float) -> float:
-    """Return N^2(r) = ||d(-ln r) x||_P^2 for the polynomial c of x."""
+def squared_norm(polynomial: NormPolynomial, mu: float, r: float) -> float:
+    """Return N^2(r) = ||d(-ln r) x||_P^2 for the polynomial of x; 0 or infinity far from the norm of a scaled state."""
+    c, exponent = polynomial
+    if exponent != 0:
+        distance = frexp(r)[1] - exponent
+        if abs(distance) > FAR:
+            return 0.0 if distance > 0 else inf
+        r = ldexp(r, -exponent)
     s = inverse_power(r, mu)
     total = 0.0
     for coefficient in reversed(c):
@@ -107,7 +174,7 @@ def squared_norm(c: Vector, mu: float, r: float) -> float:
 
 
 def bisection_update(
-    c: Vector, mu: float, interval: tuple[float, float], a_min: float, b_max: float, j_max: int
+    polynomial: NormPolynomial, mu: float, interval: tuple[float, float], a_min: float, b_max: float, j_max: int
 ) -> tuple[float, float]:
     """Return the interval [a, b] after one run of Algorithm 1 (corrected); ||x||_d is estimated by b.
 
@@ -116,43 +183,62 @@ def bisection_update(
     lower it, so that inside the unit ball the estimate would stay at b_max and the controller be linear.
     """
     a, b = interval
-    if squared_norm(c, mu, b) > 1.0:
+    if squared_norm(polynomial, mu, b) > 1.0:
         a, b = b, min(2.0 * b, b_max)
-    elif squared_norm(c, mu, a) < 1.0:
+    elif squared_norm(polynomial, mu, a) < 1.0:
         a, b = max(a / 2.0, a_min), a
     else:
         for _ in range(j_max):
             middle = (a + b) / 2.0
-            if squared_norm(c, mu, middle) < 1.0:
+            if squared_norm(polynomial, mu, middle) < 1.0:
                 b = middle
             else:
                 a = middle
     return a, b
 
 
-def homogeneous_norm(c: Vector, mu: float, guess: float = 1.0) -> float:
-    """Return the canonical homogeneous norm of the state with polynomial `c`: the root of N(r) = 1.
+def homogeneous_norm(polynomial: NormPolynomial, mu: float, guess: float = 1.0) -> float:
+    """Return the canonical homogeneous norm of the state with this polynomial: the root of N(r) = 1.
 
     Newton's method on ln N(e^sigma), whose slope is negative, kept inside a bracket that it tightens as it goes; the
     bracket is bisected where a Newton step would leave it or is longer than half the step before. `guess` is a start,
-    such as the norm a sample ago; one beyond all reason is not used. The result is 0 for x = 0, and NaN for a state that
-    is not finite or so large or small that N leaves the range of numbers. For a P and a dilation without
-    G_d' P + P G_d > 0 there may be several roots, and the search ends after NEWTON_LIMIT iterations.
+    such as the norm a sample ago; one beyond all reason is not used. The result is 0 for x = 0 and NaN for a state that
+    is not finite. For a P and a dilation without G_d' P + P G_d > 0 there may be several roots, and the search ends after
+    NEWTON_LIMIT iterations; where P is not positive definite there may be none, and the result may be NaN.
     """
+    c, exponent = polynomial
     size = max(map(abs, c))
     if not size < inf:
         return nan
     if size == 0.0:
         return 0.0
-    low, high, last = -inf, inf, inf
-    sigma = log(guess) if GUESSES[0] < guess < GUESSES[1] else 0.0
+    root = _root(c, mu, _scaled_guess(guess, exponent))
+    return root if exponent == 0 else _power_of_two(root, exponent)
+
+
+def _scaled_guess(guess: float, exponent: int) -> float:
+    """Return the start of the search in the coordinates of the polynomial; 1 where the guess is of no use."""
+    if exponent != 0:
+        near = 0.0 < guess < inf and abs(frexp(guess)[1] - exponent) < FAR
+        guess = ldexp(guess, -exponent) if near else 1.0
+    return guess if GUESSES[0] < guess < GUESSES[1] else 1.0
+
+
+def _power_of_two(value: float, exponent: int) -> float:
+    """Return value 2^exponent, LARGEST beyond the range of numbers; NaN stays."""
+    return LARGEST if frexp(value)[1] + exponent > 1024 else ldexp(value, exponent)
+
+
+def _root(c: Vector, mu: float, guess: float) -> float:
+    low, high, last = -UNBOUNDED, UNBOUNDED, UNBOUNDED
+    sigma = log(guess)
     for _ in range(NEWTON_LIMIT):
         s = exp(-mu * sigma)
         value, weighted = 0.0, 0.0
         for coefficient in reversed(c):
             weighted = weighted * s + value
             value = value * s + coefficient
-        if not 0.0 < value < inf:  # rounding or overflow far from the root
+        if not 0.0 < value < inf:  # no norm: P is not positive definite, or far from it in rounding
             return nan
         error = log(value) - 2.0 * sigma
         if error > 0.0:
@@ -160,11 +246,15 @@ def homogeneous_norm(c: Vector, mu: float, guess: float = 1.0) -> float:
         else:
             high = sigma
         slope = 2.0 + mu * s * weighted / value
-        step = error / slope if slope > 0.0 else inf
+        step = error / slope if slope > 0.0 else UNBOUNDED
         if abs(step) <= CONVERGED:
             return exp(sigma + step)
         following = sigma + max(-4.0, min(4.0, step))
-        if high - low < inf and not (low < following < high and abs(following - sigma) <= 0.5 * last):
+        if (
+            low > -UNBOUNDED
+            and high < UNBOUNDED
+            and not (low < following < high and abs(following - sigma) <= 0.5 * last)
+        ):
             following = 0.5 * (low + high)
         last = abs(following - sigma)
         if last <= 1e-15 * max(1.0, abs(sigma)):

@@ -17,9 +17,11 @@ STATES = ("theta", "delta", "theta_dot", "delta_dot")
 LAWS = ("LC", "SMC", "IHC")
 NORM_SOLVERS = ("algorithm1", "exact")
 DISCRETIZATIONS = ("explicit", "semi_implicit")
-VELOCITY_SOURCES = ("filter", "input", "kalman")
+VELOCITY_SOURCES = ("filter", "inputs", "kalman")
 MODES = ("idle", "swing_up", "stabilizing", "fault")
 FAULTS = ("none", "non_finite_input", "non_finite_control")
+MAX_SAMPLES = 1_000_000
+"""Most samples in one communication step."""
 
 GAIN_UNITS = ("V/rad", "V/rad", "V.s/rad", "V.s/rad")
 
@@ -92,8 +94,8 @@ INTERFACE = Interface(
     variables=(
         _input("theta", "rad", "measured angle of the rotary arm"),
         _input("delta", "rad", "measured angle of the pendulum from upright; may be wrapped or not"),
-        _input("theta_dot", "rad/s", "angular velocity of the arm, used with velocity_source input"),
-        _input("delta_dot", "rad/s", "angular velocity of the pendulum, used with velocity_source input"),
+        _input("theta_dot", "rad/s", "angular velocity of the arm, used with velocity_source inputs"),
+        _input("delta_dot", "rad/s", "angular velocity of the pendulum, used with velocity_source inputs"),
         _output("voltage", "commanded motor voltage, held between samples; 0 before the first sample", "V"),
         _output("homogeneous_norm", _NORMS),
         _output(

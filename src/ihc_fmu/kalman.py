@@ -52,10 +52,14 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
 
     Upper rows in [1] and [1/s], row 5 in V/rad, row 6 in [1]. Process noise is integrated exactly over a sample (Van
     Loan, IEEE Trans. Automatic Control 23(3), 1978); the stationary covariance solves the discrete Riccati equation.
-    Raises UserError for an `h` that is not positive and finite.
+    Raises UserError for an `h` that is not positive and finite, and a model for which there is no such gain.
     """
     if not 0.0 < h < np.inf:
         raise UserError(f"the sample time must be positive and finite, found {h} s")
+    if not (np.isfinite(A).all() and np.isfinite(b).all()):
+        raise UserError(
+            "there is no Kalman filter for this nominal model: its inertias must have a positive determinant"
+        )
     o = options or KalmanOptions()
     F = np.zeros((6, 6))
     F[:4, :4], F[:4, 4], F[5, 5] = A, b, -BIAS_DECAY
@@ -66,5 +70,10 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
     C = np.zeros((2, 6))
     C[0, 0] = C[1, 1] = C[1, 5] = 1.0
     R = o.resolution**2 / 12.0 * (1e-3 / h) * np.eye(2)
-    covariance = solve_discrete_are(transition.T, C.T, transition @ block[:6, 6:], R)
+    try:
+        covariance = solve_discrete_are(transition.T, C.T, transition @ block[:6, 6:], R)
+    except np.linalg.LinAlgError:
+        raise UserError(
+            "there is no Kalman filter for this nominal model: its Riccati equation has no solution"
+        ) from None
     return np.linalg.solve(C @ covariance @ C.T + R, C @ covariance).T

@@ -39,13 +39,15 @@ def chain_gains(kz: Vector, mu: float, r: float) -> list[float]:
     return gains[::-1]
 
 
-def implicit_homogeneous(k_lin: Vector, kz: Vector, mu: float, r: float, x: Vector, z: Vector) -> float:
+def implicit_homogeneous(k_lin: Vector, row: Vector, kz: Vector, mu: float, r: float, x: Vector, z: Vector) -> float:
     """Return the IHC's u = r^(1-mu) k d(-ln r) x - row x, eq. (8), with k = k_lin + row, eq. (10).
 
-    `kz` = k Phi^-1 and z = Phi x. It is written as k_lin x + sum (kz_i s^(n-i+1) - kz_i) z_i, which is the same and at
-    r = 1 is the LC to the last bit.
+    `kz` = k Phi^-1, `row` (n,) and z = Phi x. For r <= 1 it is written as k_lin x + sum (kz_i s^(n-i+1) - kz_i) z_i, which
+    is the same and at r = 1 is the LC to the last bit; beyond, where the gains fade, that would cancel.
     """
     gains = chain_gains(kz, mu, r)
+    if r > 1.0:
+        return dot(gains, z) - dot(row, x)
     return dot(k_lin, x) + dot([g - k for g, k in zip(gains, kz, strict=True)], z)
 
 
@@ -53,16 +55,16 @@ def implicit_homogeneous_semi(kz: Vector, row_z: Vector, mu: float, r: float, h:
     """Return the semi-implicit IHC u = K (I - h (A + b K))^-1 x, K = r^(1-mu) k d(-ln r) - row, sample time h [s].
 
     The gain is that of the present state, the state that of the next sample as the linear model predicts it (the variant
-    of the authors' toolbox). In chain coordinates A + b K is a companion matrix with last row g = kz o (s^n, ..., s), so
-    the system is solved by one sweep: y_i = a_i + h^(n-i) y_n with a_n = 0, a_i = z_i + h a_{i+1}. `row_z` = row Phi^-1.
-    For a Hurwitz companion matrix the denominator 1 - sum g_i h^(n-i+1) is greater than 1.
+    of the authors' toolbox). In chain coordinates A + b K is a companion matrix with last row g = kz o (s^n, ..., s). With
+    f_i = z_i + h f_{i+1}, f_n = z_n, the state ahead is y_i = f_i + h^(n-i+1) v, v = g y = g f/(1 - sum g_i h^(n-i+1)), and
+    u = v - row_z y, `row_z` = row Phi^-1. For a Hurwitz companion matrix the denominator is greater than 1 and no sum with
+    g cancels.
     """
     g = chain_gains(kz, mu, r)
     n = len(z)
-    a, powers = [0.0] * n, [1.0] * n
+    f, powers = list(z), [h] * n
     for i in range(n - 2, -1, -1):
-        a[i] = z[i] + h * a[i + 1]
+        f[i] = z[i] + h * f[i + 1]
         powers[i] = h * powers[i + 1]
-    last = (z[-1] + h * dot(g, a)) / (1.0 - h * dot(g, powers))
-    y = [a_i + p_i * last for a_i, p_i in zip(a, powers, strict=True)]
-    return dot([g_i - r_i for g_i, r_i in zip(g, row_z, strict=True)], y)
+    v = dot(g, f) / (1.0 - dot(g, powers))
+    return v - dot(row_z, [f_i + p_i * v for f_i, p_i in zip(f, powers, strict=True)])

@@ -43,13 +43,15 @@ def nominal_values(p: QubeParameters) -> dict[str, Value]:
     return {f"nominal_{name}": value for name, value in numbers.items()}
 
 
-def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit: float = 10.0) -> dict[str, Value]:
-    """Return the start values that a design decides.
-
-    Raises UserError for a design of another order than the FMU's four states.
-    """
+def check_order(design: Design) -> None:
+    """Raise UserError for a design of another order than the FMU's four states."""
     if design.n != ORDER:
         raise UserError(f"the controller FMU takes designs of order {ORDER}, found order {design.n}")
+
+
+def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit: float = 10.0) -> dict[str, Value]:
+    """Return the start values that a design decides, the capture level for a voltage limit [V]; raises as `check_order`."""
+    check_order(design)
     smc = smc or fitted_smc(design.A, design.b)
     values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho}
     for name, numbers in (("k_lin", design.k_lin), ("row", design.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):
@@ -73,11 +75,19 @@ def zip_names(names: Iterable[str], numbers: Iterable[float]) -> dict[str, Value
 
 
 def controller_start_values(
-    design: Design, nominal: str | ParameterSet = "ident", smc: SlidingMode | None = None
+    design: Design,
+    nominal: str | ParameterSet = "ident",
+    smc: SlidingMode | None = None,
+    changes: Mapping[str, Value] | None = None,
 ) -> dict[str, Value]:
     """Return the start values of the controller FMU for a design and a parameter set, given or named, as nominal model.
 
-    The nominal model has no dry friction.
+    `changes` replace values and decide what follows from them: the Kalman filter's gain, the capture level. The nominal
+    model has no dry friction.
     """
+    changes = changes or {}
+    known = INTERFACE.start_values(changes)
     model = nominal_values(parameter_set(nominal).parameters)
-    return design_values(design, smc) | model | kalman_values(model, float(INTERFACE.step_size))
+    model = {name: known[name] if name in changes else value for name, value in model.items()}
+    values = design_values(design, smc, float(known["voltage_limit"])) | model
+    return values | kalman_values(model, float(known["sample_time"])) | changes

@@ -38,8 +38,9 @@ def swing_up(values: Mapping[str, Any]) -> SwingUp:
 
 
 def saturate(value: float, limit: float) -> float:
-    """Return `value` limited to [-limit, limit]."""
-    return max(-limit, min(limit, value))
+    """Return `value` limited to [-limit, limit]; -limit for NaN."""
+    above = value if value > -limit else -limit
+    return above if above < limit else limit
 
 
 def swing_up_voltage(

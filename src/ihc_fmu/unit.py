@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from fmu_export.errors import UserError
 
@@ -16,6 +16,7 @@ from . import homogeneity, laws, velocity
 from .interface import (
     DISCRETIZATIONS,
     LAWS,
+    MAX_SAMPLES,
     NORM_SOLVERS,
     ORDER,
     STATES,
@@ -27,9 +28,22 @@ from .interface import (
 )
 from .nominal_model import nominal_model
 from .supervisor import Capture, Fault, Mode, next_mode
-from .swing_up import swing_up, swing_up_voltage
+from .swing_up import saturate, swing_up, swing_up_voltage
+from .velocity import LEAST, flushed
 
 TURN = 2.0 * math.pi
+NOT_FINITE = "the command is not finite"
+MOST = 2.0**400
+"""Bound on a control that is then multiplied by 2^homogeneity.SHIFT: beyond any voltage limit, within the numbers."""
+
+
+class ChainState(NamedTuple):
+    """A state as the norm and the homogeneous law take it: x = 2^-shift times the state, z = Phi x."""
+
+    shift: int
+    x: list[float]
+    z: list[float]
+    polynomial: homogeneity.NormPolynomial
 
 
 @dataclass(slots=True)
@@ -54,6 +68,7 @@ class ControllerState:
     bias: float = 0.0  # Kalman filter's estimate of the bias of the measured delta [rad]
     theta_dot: float = 0.0  # velocity that the law uses [rad/s]
     delta_dot: float = 0.0
+    held: bool = False  # whether it has been said that a step held its inputs over several samples
 
 
 class IhcControllerUnit:
@@ -68,7 +83,7 @@ class IhcControllerUnit:
         self.exact = NORM_SOLVERS[values["norm_solver"] - 1] == "exact"
         self.semi_implicit = DISCRETIZATIONS[values["discretization"] - 1] == "semi_implicit"
         self.velocity_source = VELOCITY_SOURCES[values["velocity_source"] - 1]
-        self.from_inputs = self.velocity_source == "input"
+        self.from_inputs = self.velocity_source == "inputs"
         self._take_design()
         self.a_min: float = values["a_min"]
         self.b_max: float = values["b_max"]
@@ -106,9 +121,9 @@ class IhcControllerUnit:
             for j in range(i, ORDER):
                 P[i][j] = P[j][i] = next(upper)
         self.k_lin = [values[name] for name in vector("k_lin")]
-        row = [values[name] for name in vector("row")]
+        self.row = [values[name] for name in vector("row")]
         Phi_t = homogeneity.transpose(self.Phi)
-        columns = [[k + r, r] for k, r in zip(self.k_lin, row, strict=True)]
+        columns = [[k + r, r] for k, r in zip(self.k_lin, self.row, strict=True)]
         self.kz, self.row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
         self.Pz = homogeneity.to_chain(self.Phi, P)
         self.mu: float = values["mu"]
@@ -134,27 +149,35 @@ class IhcControllerUnit:
         self.state.start_time = time
         if all(map(math.isfinite, inputs)):
             x = self._first_estimate(inputs)
-            self.state.norm = homogeneity.homogeneous_norm(self._norm_polynomial(x)[1], self.mu)
+            self.state.norm = homogeneity.homogeneous_norm(self._chain_state(x).polynomial, self.mu)
         return []
 
     def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
-        """Sample the inputs where a sample instant falls on `time` [s]; hold the voltage otherwise.
+        """Sample the inputs at each sample instant within `step` [s] from `time` [s] on; hold the voltage otherwise.
 
-        Returns messages for the log. Raises UserError for a communication step of which the sample time is no multiple.
+        Returns messages for the log. Raises UserError where neither the sample time nor the communication step is a
+        multiple of the other.
         """
         if step != self.checked_step:
             self._check_step(step)
         state = self.state
-        index = math.floor((time - state.start_time) / self.sample_time + 0.5 * step / self.sample_time)
-        if index < state.next_sample:
-            return []
-        if index > state.next_sample:
-            raise UserError(f"sample {state.next_sample} of sample_time {self.sample_time:g} s was stepped over")
-        state.next_sample += 1
-        try:
-            return self.sample(inputs)
-        except (OverflowError, ValueError) as error:  # finite measurements beyond the range of numbers on the way
-            return self._fail(Fault.NON_FINITE_CONTROL, str(error))
+        samples = step / self.sample_time
+        beyond = samples - 0.5 if samples > 1.0 else 0.5 * samples
+        last = math.floor((time - state.start_time) / self.sample_time + beyond)
+        messages: list[str] = []
+        while state.next_sample <= last:
+            state.next_sample += 1
+            try:
+                messages += self.sample(inputs)
+            except (ArithmeticError, ValueError):  # finite measurements beyond the range of numbers on the way
+                messages += self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        if samples > 1.5 and not messages and not state.held:
+            state.held = True
+            return [
+                f"a communication step of {step:g} s holds the inputs over several samples of sample_time = "
+                f"{self.sample_time:g} s"
+            ]
+        return messages
 
     def sample(self, inputs: tuple[float, ...]) -> list[str]:
         """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
@@ -164,16 +187,17 @@ class IhcControllerUnit:
             return self._fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
         if state.mode == Mode.FAULT:
             return []
+        inputs = tuple([flushed(value, LEAST) for value in inputs])
         x = self._estimate(inputs, self._unwrap(inputs[1])) if state.primed else self._prime(inputs)
         if not math.isfinite(x[0] + x[1] + x[2] + x[3]):
-            return self._fail(Fault.NON_FINITE_CONTROL, f"x = {x}")
-        z, polynomial = self._norm_polynomial(x)
-        state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
+            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        chain = self._chain_state(x)
+        state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         earlier = state.mode
         state.mode = next_mode(
             earlier,
             self.capture,
-            homogeneity.squared_norm(polynomial, self.mu, 1.0),
+            homogeneity.squared_norm(chain.polynomial, self.mu, 1.0),
             x[1],
             x[3],
             enabled=self.values["enabled"],
@@ -182,15 +206,15 @@ class IhcControllerUnit:
         if state.mode == Mode.STABILIZING and earlier != Mode.STABILIZING:
             state.interval = (self.a_min, self.b_max)
             x = self._use_filter(inputs, x)
-            z, polynomial = self._norm_polynomial(x)
-            state.norm = homogeneity.homogeneous_norm(polynomial, self.mu, state.norm)
+            chain = self._chain_state(x)
+            state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         state.theta_dot, state.delta_dot = x[2], x[3]
-        command = self._command(x, z, polynomial)
+        command = self._command(x, chain)
         if self.compensate and state.mode == Mode.STABILIZING:
             command -= state.disturbance  # 0 without the Kalman filter
         if not math.isfinite(command):
-            return self._fail(Fault.NON_FINITE_CONTROL, f"u = {command}")
-        state.voltage = min(self.limit, max(-self.limit, command))
+            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        state.voltage = saturate(command, self.limit)
         return []
 
     def outputs(self) -> tuple[float, ...]:
@@ -209,11 +233,16 @@ class IhcControllerUnit:
         self.state = ControllerState(**fields)
 
     def _check_step(self, step: float) -> None:
-        ratio = self.sample_time / step
-        if ratio < 1.0 - 1e-6 or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        ratio = step / self.sample_time if step > self.sample_time else self.sample_time / step
+        if step > self.sample_time and ratio > MAX_SAMPLES + 0.5:
             raise UserError(
-                f"sample_time must be a multiple of the communication step, found sample_time = {self.sample_time:g} s "
-                f"and a communication step of {step:g} s"
+                f"a communication step must not exceed {MAX_SAMPLES} samples of sample_time = {self.sample_time:g} s, "
+                f"found {step:g} s"
+            )
+        if not math.isfinite(ratio) or abs(ratio - round(ratio)) > 1e-6 * ratio:
+            raise UserError(
+                f"sample_time must be a multiple of the communication step, or the step of it, found sample_time = "
+                f"{self.sample_time:g} s and a communication step of {step:g} s"
             )
         self.checked_step = step
 
@@ -288,11 +317,14 @@ class IhcControllerUnit:
         delta = math.remainder(inputs[1], TURN)
         return [inputs[0], delta, self.state.theta_dot, self.state.delta_dot]
 
-    def _norm_polynomial(self, x: list[float]) -> tuple[list[float], list[float]]:
+    def _chain_state(self, x: list[float]) -> ChainState:
+        shift = homogeneity.shift_of(x)
+        if shift != 0:
+            x = [entry * 2.0**-shift for entry in x]
         z = homogeneity.product(self.Phi, x)
-        return z, homogeneity.norm_polynomial(self.Pz, z)
+        return ChainState(shift, x, z, homogeneity.norm_polynomial(self.Pz, z, self.mu, shift))
 
-    def _command(self, x: list[float], z: list[float], polynomial: list[float]) -> float:
+    def _command(self, x: list[float], chain: ChainState) -> float:
         state = self.state
         state.norm_used = 1.0
         if state.mode == Mode.SWING_UP:
@@ -303,13 +335,15 @@ class IhcControllerUnit:
             return laws.linear(self.k_lin, x)
         if self.law == "SMC":
             return laws.sliding_mode(self.smc_c, self.smc_k, self.smc_rho, x)
-        r = self._norm_in_law(polynomial)
+        r = self._norm_in_law(chain.polynomial)
         state.norm_used = r
         if self.semi_implicit:
-            return laws.implicit_homogeneous_semi(self.kz, self.row_z, self.mu, r, self.sample_time, z)
-        return laws.implicit_homogeneous(self.k_lin, self.kz, self.mu, r, x, z)
+            u = laws.implicit_homogeneous_semi(self.kz, self.row_z, self.mu, r, self.sample_time, chain.z)
+        else:
+            u = laws.implicit_homogeneous(self.k_lin, self.row, self.kz, self.mu, r, chain.x, chain.z)
+        return u if chain.shift == 0 else saturate(u, MOST) * 2.0**chain.shift
 
-    def _norm_in_law(self, polynomial: list[float]) -> float:
+    def _norm_in_law(self, polynomial: homogeneity.NormPolynomial) -> float:
         state = self.state
         if self.exact:
             return state.norm if math.isnan(state.norm) else min(self.b_max, max(self.a_min, state.norm))

@@ -12,13 +12,25 @@ from .nominal_model import NominalModel, predict
 
 State = tuple[float, float, float, float]
 
+LEAST = 2.0**-1000
+"""Measurements and filtered values below this, about 1e-301, count as 0: further decay would reach subnormal numbers, on
+which processors are many times slower."""
+
+LEAST_ESTIMATE = 2.0**-300
+"""The same for the estimates of an observer, about 5e-91: the nominal model multiplies three of them."""
+
 BIAS_DECAY = 1e-3
 """Rate [1/s] at which the Kalman filter forgets the bias, which no measurement pins down for ever."""
 
 
+def flushed(value: float, least: float) -> float:
+    """Return `value`, 0 where it is smaller in magnitude than `least`; NaN stays."""
+    return 0.0 if 0.0 < abs(value) < least else value
+
+
 def filter_decay(cutoff: float, h: float) -> float:
     """Return exp(-cutoff h), the discrete pole of the velocity filter for the sample time `h` [s]."""
-    return exp(-cutoff * h)
+    return flushed(exp(-cutoff * h), LEAST)
 
 
 def filter_velocity(cutoff: float, decay: float, lag: float, angle: float) -> tuple[float, float]:
@@ -26,7 +38,7 @@ def filter_velocity(cutoff: float, decay: float, lag: float, angle: float) -> tu
 
     With the angle held between samples, w s/(s + w) is exactly v = w (angle - lag), lag <- decay lag + (1 - decay) angle.
     """
-    return cutoff * (angle - lag), decay * lag + (1.0 - decay) * angle
+    return flushed(cutoff * (angle - lag), LEAST), flushed(decay * lag + (1.0 - decay) * angle, LEAST)
 
 
 def alpha_beta_gains(acceleration_noise: float, resolution: float, h: float) -> tuple[float, float]:
@@ -63,10 +75,10 @@ def observe(
     p_theta, p_delta, p_theta_dot, p_delta_dot = predict(model, *x, voltage, h)
     e_theta, e_delta = theta - p_theta, delta - p_delta
     return (
-        p_theta + alpha * e_theta,
-        p_delta + alpha * e_delta,
-        p_theta_dot + beta * e_theta,
-        p_delta_dot + beta * e_delta,
+        flushed(p_theta + alpha * e_theta, LEAST_ESTIMATE),
+        flushed(p_delta + alpha * e_delta, LEAST_ESTIMATE),
+        flushed(p_theta_dot + beta * e_theta, LEAST_ESTIMATE),
+        flushed(p_delta_dot + beta * e_delta, LEAST_ESTIMATE),
     )
 
 
@@ -89,6 +101,8 @@ def kalman_step(
     p = predict(model, *x, voltage + disturbance, h)
     bias *= exp(-BIAS_DECAY * h)
     e_1, e_2 = theta - p[0], delta - (p[1] + bias)
-    corrections = [row[0] * e_1 + row[1] * e_2 for row in M]
-    corrected = (p[0] + corrections[0], p[1] + corrections[1], p[2] + corrections[2], p[3] + corrections[3])
-    return corrected, disturbance + corrections[4], bias + corrections[5]
+    predicted = (*p, disturbance, bias)
+    theta, delta, theta_dot, delta_dot, disturbance, bias = [
+        flushed(value + (row[0] * e_1 + row[1] * e_2), LEAST_ESTIMATE) for value, row in zip(predicted, M, strict=True)
+    ]
+    return (theta, delta, theta_dot, delta_dot), disturbance, bias

@@ -1,10 +1,13 @@
 """Many runs in threads: equal to single runs, stopped at once, and a journal that gives back what was kept and no more."""
 
-import json
 import math
 import os
+import shutil
 import signal
+import sqlite3
 import struct
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -14,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cosim import campaign
-from cosim.campaign import JOURNAL_FORMAT, Job, Journal, run_all, run_numbers
+from cosim.campaign import Job, Journal, code_files, run_all, run_numbers
 from cosim.errors import SimulationError, UserError
 from cosim.export import Kind, export_units
 from cosim.fmu import Instance
@@ -302,20 +305,19 @@ digests = st.text("0123456789abcdef", min_size=32, max_size=32)
 kept_numbers = st.dictionaries(st.text(), st.floats(allow_nan=True, allow_infinity=True))
 
 
-@settings(max_examples=50)
+@settings(max_examples=25)
 @given(kept=st.dictionaries(digests, kept_numbers, max_size=8))
 def test_numbers_come_back_to_the_last_bit(tmp_path_factory, kept):
-    path = tmp_path_factory.getbasetemp() / "numbers" / "journal.jsonl"
+    path = tmp_path_factory.getbasetemp() / "numbers" / "journal"
     path.unlink(missing_ok=True)
     with Journal(path, "test") as journal:
         for digest, numbers in kept.items():
             journal.keep(digest, numbers)
-        written = {digest: bits(numbers) for digest, numbers in journal.known.items()}
-    content = path.read_bytes() if kept else b""
+            assert bits(journal.found(digest) or {}) == bits(numbers)
     with Journal(path, "test") as journal:
-        read = {digest: bits(numbers) for digest, numbers in journal.known.items()}
-    assert read == written == {digest: bits(numbers) for digest, numbers in kept.items()}
-    assert (path.read_bytes() if kept else b"") == content
+        assert {digest: bits(numbers) for digest, numbers in journal.known.items()} == {
+            digest: bits(numbers) for digest, numbers in kept.items()
+        }
 
 
 def test_a_number_kept_again_replaces_the_first(tmp_path):
@@ -326,104 +328,71 @@ def test_a_number_kept_again_replaces_the_first(tmp_path):
         assert journal.known == {"a": {"x": 2.0}}
 
 
-def test_a_journal_begins_with_its_first_line_in_a_folder_that_does_not_exist_yet_or_in_an_empty_file(tmp_path):
+def test_a_journal_begins_with_its_first_numbers_in_a_new_folder_or_an_empty_file(tmp_path):
     (tmp_path / "empty").touch()
     for path in (tmp_path / "new folder" / "deep" / "journal", tmp_path / "empty"):
         with Journal(path, "test") as journal:
-            assert journal.known == {}
-            assert not path.exists() or path.read_bytes() == b""
+            assert (journal.known, journal.found("a")) == ({}, None)
+            assert not path.parent.exists() or path == tmp_path / "empty"
             journal.keep("a", {})
-        assert path.read_text(encoding="utf-8") == JOURNAL_FORMAT + '\n["a", {}]\n'
+        assert [file.name for file in path.parent.glob("*") if file.is_file()] == [path.name]
 
 
-def test_what_is_kept_is_in_the_file_at_once(tmp_path):
-    with Journal(tmp_path / "journal", "test") as journal:
-        for k in range(3):
-            journal.keep(str(k), {"x": k / 3})
-            *_, last = (tmp_path / "journal").read_bytes().splitlines(keepends=True)
-            assert (json.loads(last), last[-1:]) == ([str(k), {"x": k / 3}], b"\n")
-
-
-@pytest.mark.parametrize("name", ["integral", "Größe µ|q|² 𝛿"])
-def test_a_file_cut_at_any_byte_loses_only_its_last_line_and_goes_on(tmp_path, name):
+def test_what_is_kept_is_seen_by_others_at_once_and_outlives_a_killed_process(tmp_path):
     path = tmp_path / "journal"
-    kept = {"a" * 32: {name: 1.5}, "b" * 32: {}, "c" * 32: {name: math.nan, "y": math.inf}}
+    script = (
+        "import os, pathlib, signal, sys; from cosim.campaign import Journal;"
+        "Journal(pathlib.Path(sys.argv[1]), 'test').keep('a', {'x': 1.5}); os.kill(os.getpid(), 9)"
+    )
     with Journal(path, "test") as journal:
-        for digest, numbers in kept.items():
-            journal.keep(digest, numbers)
-    whole = path.read_bytes()
-    assert whole.count(b"\n") == 4
-    for cut in range(len(whole) + 1):
-        path.write_bytes(whole[:cut])
-        expected = dict(list(kept.items())[: max(0, whole[:cut].count(b"\n") - 1)])
-        with Journal(path, "test") as journal:
-            assert list(journal.known) == list(expected), cut
-            journal.keep("d", {"z": 1.0})
-        with Journal(path, "test") as journal:
-            read = {digest: bits(numbers) for digest, numbers in journal.known.items()}
-        assert read == {digest: bits(numbers) for digest, numbers in {**expected, "d": {"z": 1.0}}.items()}, cut
+        journal.keep("b", {})
+        subprocess.run([sys.executable, "-c", script, str(path)], check=False)
+        assert journal.found("a") == {"x": 1.5}
+    with Journal(path, "test") as journal:
+        assert journal.known == {"b": {}, "a": {"x": 1.5}}
+
+
+def sqlite_of_another(path):
+    with sqlite3.connect(path) as file:
+        file.execute("CREATE TABLE notes (text TEXT)")
+    file.close()
 
 
 @pytest.mark.parametrize(
-    "content",
+    ("make", "cause"),
     [
-        b"mu,u_max,a_min\n1,2,3\n",
-        b'{"format": "qube-ihc design 1"}\n',
-        JOURNAL_FORMAT.replace("1", "0").encode() + b'\n["a", {"x": 1.0}]\n',
-        b"\n" + JOURNAL_FORMAT.encode() + b"\n",
-        JOURNAL_FORMAT.encode() + b"0\n",
-        b"first line\nsecond line without an end",
-        b"one line without an end",
-        b'{"format": "qube-ihc design 1"}',
-        b"PK\x03\x04\xff\xfe\n",
+        (
+            lambda path: path.write_bytes(b'qube-ihc journal 1\n["a", {"x": 1.0}]\n'),
+            "is a journal of an earlier version",
+        ),
+        (lambda path: path.write_bytes(b"mu,u_max,a_min\n1,2,3\n"), "is not a journal of finished runs"),
+        (lambda path: path.write_bytes(b"SQLite"), "is not a journal of finished runs"),
+        (sqlite_of_another, "is not a journal of finished runs"),
+        (lambda path: path.write_bytes(b"SQLite format 3\0" + b"\xff" * 1000), "is damaged or cannot be used"),
+        (lambda path: path.mkdir(), "cannot be read"),
     ],
-    ids=lambda content: repr(content)[:40],
 )
-def test_another_file_is_refused_and_left_as_it_is(tmp_path, content):
+def test_another_file_is_refused_and_left_as_it_is(tmp_path, make, cause):
     path = tmp_path / "other"
-    path.write_bytes(content)
-    try:
-        with pytest.raises(UserError, match=r"other.* is not a journal of the format 'qube-ihc journal 1'"):
-            Journal(path, "test")
-    finally:
-        assert path.read_bytes() == content
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        b"garbage",
-        b"",
-        b"5",
-        b"null",
-        b"\0\0\0\0",
-        b"\xff",
-        b"[1, 2]",
-        b'["c"]',
-        b'["c", 5]',
-        b'["c", [1.0]]',
-        b'{"c": 1}',
-        b'["c", {"x": "1"}]',
-    ],
-    ids=repr,
-)
-def test_garbage_in_a_line_is_one_sentence_that_names_file_and_line(tmp_path, line):
-    path = tmp_path / "journal"
-    content = b'%b\n["a", {"x": 1.0}]\n%b\n["b", {"x": 1.0}]\n' % (JOURNAL_FORMAT.encode(), line)
-    path.write_bytes(content)
-    with pytest.raises(UserError, match=r"journal.*line 3") as refusal:
+    make(path)
+    before = path.read_bytes() if path.is_file() else None
+    with pytest.raises(UserError, match=cause) as refusal:
         Journal(path, "test")
+    assert str(path) in str(refusal.value)
     assert "\n" not in str(refusal.value)
-    assert path.read_bytes() == content
+    assert (path.read_bytes() if path.is_file() else None) == before
+    assert [file.name for file in tmp_path.iterdir()] == ["other"]
 
 
-def test_line_ends_of_windows_cost_no_number(tmp_path):
+def test_a_changed_digit_is_refused(tmp_path):
     path = tmp_path / "journal"
-    kept = {c: {"x": 1.0} for c in "abc"}
-    path.write_bytes(b"\r\n".join([JOURNAL_FORMAT.encode(), *(json.dumps(row).encode() for row in kept.items()), b""]))
-    for _ in range(2):
-        with Journal(path, "test") as journal:
-            assert journal.known == kept
+    with Journal(path, "test") as journal:
+        journal.keep("a", {"x": 1.25})
+    content = path.read_bytes()
+    assert content.count(b"1.25") == 1
+    path.write_bytes(content.replace(b"1.25", b"1.75"))
+    with Journal(path, "test") as journal, pytest.raises(UserError, match="numbers do not fit their checksum"):
+        journal.found("a")
 
 
 # What numbers are kept under
@@ -467,8 +436,28 @@ def test_every_changed_entry_gives_another_digest_and_the_same_the_same(digest, 
     assert all(len(value) == 32 and set(value) <= set("0123456789abcdef") for value in found.values())
 
 
-def test_another_purpose_gives_another_digest(digest, job):
-    assert digest(job(0)) == digest(job(0), purpose="test") != digest(job(0), purpose="test 2")
+def test_another_purpose_or_other_code_gives_another_digest(digest, job, monkeypatch, tmp_path):
+    before = digest(job(0))
+    assert before == digest(job(0), purpose="test") != digest(job(0), purpose="test 2")
+    names = {"/".join(file.parts[-2:]) for file in code_files()}
+    assert names >= {
+        "cosim/metrics.py",
+        "paper/study.py",
+        "native/loop.c",
+        "plant_fmu/parameters.py",
+        "ihc_fmu/kalman.py",
+    }
+    copies = [tmp_path / str(k) for k, _ in enumerate(code_files())]
+    for copy, file in zip(copies, code_files(), strict=True):
+        shutil.copy(file, copy)
+    monkeypatch.setattr(campaign, "code_files", lambda: copies)
+    found = []
+    for _ in range(2):
+        campaign.code_digest.cache_clear()
+        found.append(digest(job(0)))
+        copies[-1].write_bytes(copies[-1].read_bytes() + b"\n")
+    campaign.code_digest.cache_clear()
+    assert found[0] == before != found[1]
 
 
 @pytest.mark.parametrize("unit", ["plant", "controller"])
@@ -557,8 +546,25 @@ def test_interrupted_half_way_and_repeated_is_as_never_interrupted(fmus, job, tm
     with Journal(tmp_path / "whole", "test") as journal:
         whole = run_numbers(jobs, fmus, measured, journal, 1)
     assert {seed: bits(numbers) for seed, numbers in found.items()} == {s: bits(n) for s, n in whole.items()}
-    lines = [sorted((tmp_path / name).read_text(encoding="utf-8").splitlines()) for name in ("cut", "whole")]
-    assert lines[0] == lines[1]
+
+
+def test_processes_share_the_work_of_one_journal(fmus, job, tmp_path, begun):
+    """The second leaves what the first has begun to the end, and then takes what the first has done meanwhile."""
+    jobs = [job(seed, run__seed=seed) for seed in range(4)]
+    with Journal(tmp_path / "journal", "test") as first, Journal(tmp_path / "journal", "test") as second:
+        keys = [first.digest(one, fmus) for one in jobs]
+        assert (first.claim(keys[0]), second.claim(keys[0]), first.claim(keys[1])) == (True, False, True)
+        seen = []
+
+        def progress(done, total):
+            seen.append(done)
+            if done == 2:  # the first has ended one of its runs, and is killed in the other
+                first.keep(keys[0], {"kept": 1.0})
+
+        found = run_numbers(jobs, fmus, measured, second, 1, progress)
+    assert begun == [2, 3, 1]
+    assert seen == [0, 1, 2, 3, 4]
+    assert (list(found), found[0]) == ([0, 1, 2, 3], {"kept": 1.0})
 
 
 def test_a_run_that_an_fmu_ends_has_no_numbers_and_is_not_tried_again(fmus, job, tmp_path, begun):

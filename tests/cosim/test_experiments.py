@@ -1,6 +1,8 @@
 """The comparison of the laws: equal to single runs, the same draws for all laws, and what the runs must show."""
 
 import csv
+import dataclasses
+import hashlib
 import json
 import math
 
@@ -116,6 +118,30 @@ def test_saved_tables_are_read_back_exactly(compared, tmp_path, same):
         for name in NAMES:
             value = comparison.median(law, name)
             assert about["median"][law][name] == (None if math.isnan(value) else value)
+
+
+def test_a_comparison_names_its_files_and_leaves_nothing_of_an_earlier_one(compared, tmp_path):
+    comparison, _ = compared
+    comparison.save(tmp_path)
+    for mine in ("mine.csv", "LC.csv"):
+        (tmp_path / mine).write_text("mine", encoding="utf-8")
+    fewer = dataclasses.replace(comparison, results={"IHC": comparison.results["IHC"]})
+
+    def fail(folder):
+        (folder / "angles.png").write_bytes(b"picture")
+        raise UserError(f"{folder / 'angles.png'} cannot be drawn")
+
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(UserError, match=f"^{tmp_path}/angles.png cannot be drawn$"):
+        fewer.save(tmp_path, fail)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    fewer.save(tmp_path, lambda folder: (folder / "angles.png").write_bytes(b"picture"))
+    about = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
+    expected = ["IHC.csv", "IHC.json", "angles.png", "comparison.csv"]
+    assert list(about["files"]) == expected
+    assert all(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == d for name, d in about["files"].items())
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == sorted([*expected, "comparison.json", "LC.csv", "mine.csv"])  # LC.json is gone, what is mine is not
 
 
 def test_never_is_null_in_the_table_of_medians(made_result, tmp_path):

@@ -16,7 +16,11 @@ from plant_fmu.parameters import PARAMETER_SETS, ParameterSet
 
 IDENT = PARAMETER_SETS["ident"]
 MINE = ParameterSet(
-    "mine", replace(IDENT.parameters, D_r=0.1 + 0.2, T_r=1e-4 / 3), 'measured, "twice"\non Monday', "", back_emf=False
+    "mine",
+    replace(IDENT.parameters, D_r=(0.1 + 0.2) * 1e-3, T_r=1e-4 / 3),
+    'measured, "twice"\non Monday',
+    "",
+    back_emf=False,
 )
 
 
@@ -86,8 +90,8 @@ def test_what_is_no_file_of_numbers_is_refused(tmp_path):
         parameter_files.load(tmp_path / "nowhere.toml")
     (tmp_path / "text.toml").write_text("m_p 3", encoding="utf-8")
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
-    for name, problem in (("text", "is not TOML"), ("bytes", "must be text in UTF-8")):
-        with pytest.raises(UserError, match=rf"{name}\.toml {problem}"):
+    for name, cause in (("text", "is not TOML"), ("bytes", "must be text in UTF-8, found another byte at 0")):
+        with pytest.raises(UserError, match=rf"{name}\.toml {cause}"):
             parameter_files.load(tmp_path / f"{name}.toml")
     (tmp_path / "folder.toml").mkdir()
     with pytest.raises(UserError, match="cannot be read: Is a directory"):

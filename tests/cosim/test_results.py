@@ -1,9 +1,12 @@
 """Results: exact on disk, readable elsewhere, never half written, refused with one sentence that names the file."""
 
 import csv
+import hashlib
 import json
 import math
 import os
+import signal
+from pathlib import Path
 
 import fmpy.util
 import numpy as np
@@ -18,11 +21,10 @@ from cosim.results import FORMAT, Result, versions
 
 SMALLEST = 5e-324
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text(),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
 )
-HEADER = {"format": FORMAT, "units": {"a.x": "V"}, "metadata": {}}
 
 
 @st.composite
@@ -77,8 +79,8 @@ def test_other_tools_read_the_table(tmp_path, reader):
     else:
         rows = list(csv.DictReader(path.open(encoding="utf-8")))
         table = {name: [float(row[name]) for row in rows] for name in rows[0]}
-    for name, signal in [("time", result.time), *result.signals.items()]:
-        assert list(table[name]) == pytest.approx(list(signal), rel=1e-15, abs=1e-300)
+    for name, column in [("time", result.time), *result.signals.items()]:
+        assert list(table[name]) == pytest.approx(list(column), rel=1e-15, abs=1e-300)
 
 
 def test_a_result_of_a_run_that_never_began_is_saved_and_loaded(tmp_path):
@@ -101,35 +103,119 @@ def test_a_missing_file_is_named(tmp_path, missing):
         Result.load(tmp_path / "result.csv")
 
 
-@pytest.mark.parametrize(
-    ("header", "table", "cause"),
-    [
-        ("{", "time,a.x\n0.0,1.0\n", "line 1 column 2"),
-        (json.dumps({**HEADER, "format": "another 1"}), "time,a.x\n0.0,1.0\n", FORMAT),
-        (json.dumps(HEADER), "time,a.x\n0.0,1.0\n0.1\n", "row 3 must have 2 entries, found 1; .* it was cut"),
-        (json.dumps(HEADER), "time,a.x\n0.0\n0.1,1.0\n", "row 2 must have 2 entries, found 1"),
-        (json.dumps(HEADER), "time,a.x\n0.0,1.0,2.0\n0.1,1.0,2.0\n", "row 2 must have 2 entries, found 3"),
-        (json.dumps(HEADER), "seconds,a.x\n0.0,1.0\n", FORMAT),
-        (json.dumps(HEADER), "time,a.x\n0.0,1.0\n0.1,one\n", "column 'a.x' must hold numbers, found 'one'"),
-        (json.dumps(HEADER), "time,a.x\nzero,1.0\n", "column 'time' must hold numbers, found 'zero'"),
-        (json.dumps(HEADER), "", "not a result"),
-    ],
-    ids=["JSON", "format", "short row", "long row", "long rows", "no time", "text", "text for time", "empty"],
-)
-def test_a_broken_file_is_refused_by_its_name(tmp_path, header, table, cause):
-    path = tmp_path / "broken.csv"
-    path.write_text(table, encoding="utf-8")
-    path.with_suffix(".json").write_text(header, encoding="utf-8")
-    with pytest.raises(UserError, match=rf"broken\.(csv|json)\b.*{cause}") as refusal:
+def written(folder, name="result", result=None):
+    path = folder / f"{name}.csv"
+    (result or example()).save(path)
+    return path
+
+
+def resealed(path, table, **changes):
+    """Write a table, and a description that fits it but for `changes`."""
+    path.write_bytes(table)
+    header = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    header |= {"rows": table.count(b"\n") - 1, "sha256": hashlib.sha256(table).hexdigest(), **changes}
+    del header["description_sha256"]
+    header["description_sha256"] = hashlib.sha256(json.dumps(header).encode()).hexdigest()
+    path.with_suffix(".json").write_text(json.dumps(header), encoding="utf-8")
+
+
+def refusal(path):
+    """Return the one sentence with which `path` is refused."""
+    with pytest.raises(UserError) as refused:
         Result.load(path)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path):
-    example().save(tmp_path / "result.csv")
-    (tmp_path / "result.csv").write_bytes(b"time,a.x\n\xff,1.0\n")
-    with pytest.raises(UserError, match=r"result\.csv must be text in UTF-8, found another byte at 9"):
-        Result.load(tmp_path / "result.csv")
+@pytest.mark.parametrize(
+    ("old", "new", "cause"),
+    [
+        (b"0.1,", b"0.7,", "is not the table that its description means"),
+        (b"0.1,", b"0.10,", "is not the table that its description means"),
+        (b",3\n", b",3", "has 2 rows, its description says 3"),
+        (b"0.2,5e-324,3\n", b"0.2,5e", "has 2 rows, its description says 3"),
+        (b"\n0.1", b"\n0.0,1.0,2\n0.1", "has 4 rows, its description says 3"),
+        (b"time", b"\xef\xbb\xbftime", "is not the table that its description means"),
+        (b"\n", b"\r\n", "is not the table that its description means"),
+    ],
+)
+def test_a_table_that_was_changed_is_refused(tmp_path, old, new, cause):
+    path = written(tmp_path)
+    content = path.read_bytes()
+    assert old in content
+    path.write_bytes(content.replace(old, new))
+    assert refusal(path).startswith(f"{path} {cause}")
+
+
+def test_tables_and_descriptions_of_different_runs_are_refused(tmp_path):
+    first = written(tmp_path)
+    other = example()
+    other.time[2] = 0.3
+    second = written(tmp_path, "second", other)
+    second.with_suffix(".json").replace(first.with_suffix(".json"))
+    assert "of another run" in refusal(first)
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        (lambda text: text.replace('"seed": 7', '"seed": 8'), "was changed: it does not fit its own digest"),
+        (lambda text: text.replace('"rows": 3', '"rows": 4'), "was changed: it does not fit its own digest"),
+        (lambda text: text.replace("description_sha256", "sha"), "was changed: it does not fit its own digest"),
+        (lambda text: text.replace(FORMAT, "qube-ihc result 1"), "is of an earlier version, which kept no digest"),
+        (
+            lambda text: text.replace(FORMAT, "another 1"),
+            f"is not the description of a result, whose format is '{FORMAT}'",
+        ),
+        (lambda text: "[" * 100_000, "must not be nested deeper"),
+        (lambda text: "1" * 10_000, "must have numbers of a moderate size"),
+        (lambda text: "[1]", "is not the description of a result"),
+        (lambda text: text[:30], "is not JSON"),
+        (lambda text: "", "is not JSON"),
+    ],
+)
+def test_a_description_that_was_changed_is_refused(tmp_path, change, cause):
+    path = written(tmp_path).with_suffix(".json")
+    path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
+    assert refusal(path.with_suffix(".csv")).startswith(f"{path} {cause}")
+
+
+@pytest.mark.parametrize(
+    ("table", "changes", "cause"),
+    [
+        (b"time,a.x\n0.0,1.0\n0.1\n", {}, "row 2 has 1 values for 2 columns"),
+        (b"time,a.x\n0.0,1.0,2.0\n", {}, "row 1 has 3 values for 2 columns"),
+        (b"seconds,a.x\n0.0,1.0\n", {}, "the columns must be time and"),
+        (b"time,a.y\n0.0,1.0\n", {}, "the columns must be time and"),
+        (b"\n0.0\n", {}, "row 1 has 1 values for 0 columns"),
+        (b"time,a.x\n0.0,1.0\n0.1,one\n", {}, "column a.x must hold numbers, found 'one'"),
+        (b"time,a.x\nzero,1.0\n", {}, "column time must hold numbers, found 'zero'"),
+        (b"time,a.x\n0.0,99999999999999999999\n", {}, "column a.x must hold numbers, found 'a whole number beyond"),
+        (b"time,a.x\n0.0,\xff\n", {}, "is not a table of numbers"),
+        (b"time,a.x\n0.0," + b"9" * 200_000 + b"\n", {}, "is not a table of numbers"),
+        (b"time,a.x\n0.0,1.0\n", {"units": ["V"]}, "units must be texts"),
+        (b"time,a.x\n0.0,1.0\n", {"units": {"a.x": 1}}, "units must be texts"),
+        (b"time,a.x\n0.0,1.0\n", {"metadata": None}, "is not the description of a result"),
+    ],
+)
+def test_a_foreign_file_with_a_digest_is_refused_too(tmp_path, table, changes, cause):
+    path = written(tmp_path)
+    resealed(path, table, **changes)
+    assert cause in refusal(path)
+
+
+def test_ctrl_c_while_a_result_is_written_waits_for_it(tmp_path, monkeypatch):
+    path, replace = tmp_path / "result.csv", Path.replace
+
+    def interrupted(self, target):
+        signal.raise_signal(signal.SIGINT)
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        example().save(path)
+    assert bits(Result.load(path).time) == bits(example().time)
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["result.csv", "result.json"]
 
 
 @pytest.mark.parametrize("stage", ["disk", "metadata"])

@@ -7,7 +7,6 @@ import pytest
 
 from cosim import room
 from cosim.errors import UserError
-from cosim.experiments import Study, compare
 from cosim.hil.log import Layout, RowLog
 from cosim.results import Result
 from cosim.scenario import load_scenario, run_scenario
@@ -51,13 +50,6 @@ def test_a_result_that_does_not_fit_onto_the_disk_is_not_begun(fmus, little, tmp
         UserError, match=r"writing the run of .* needs about .* GB, and .* has 0\.001 GB left; record\.every"
     ):
         run_scenario(scenario, fmus, folder, target=tmp_path / "not yet" / "there")
-
-
-def test_a_comparison_is_measured_by_all_its_runs(fmus, little):
-    little(memory=10**8)
-    scenario, folder = scenario_of(run__duration=2.0)
-    with pytest.raises(UserError, match=r"^600 runs of 2\d{3} rows"):
-        compare([Study(scenario, folder, range(200))], fmus)
 
 
 def test_the_log_of_a_long_run_on_a_device_is_not_begun(tmp_path, little):

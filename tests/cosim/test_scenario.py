@@ -2,6 +2,7 @@
 
 import math
 import shutil
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import UserError
+from cosim.export import export_units
+from cosim.fmu import start_values_of
 from cosim.scenario import (
     WIRES,
     DisturbanceSection,
@@ -21,8 +24,13 @@ from cosim.scenario import (
     run_scenario,
 )
 from fmu_export.python_fmu import export_python_fmu
+from ihc_fmu.design import Options, inverse_design
+from ihc_fmu.interface import kalman_gains
 from ihc_fmu.start_values import kalman_values, nominal_values
-from plant_fmu.parameters import PARAMETER_SETS
+from plant_fmu.interface import start_values as plant_start_values
+from plant_fmu.parameters import PARAMETER_SETS, QubeParameters
+
+PARAMETER_NUMBERS = {f.name for f in fields(QubeParameters)}
 
 BUILT_IN = ["device", "disturbed", "paper", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
 
@@ -41,6 +49,7 @@ measurement = "ideal"
 start = { delta_0 = 0.2, back_emf = false, encoder_counts = 0, motor_model = "inductance" }
 [controller]
 design = "mine.json"
+other_model = true
 start = { law = "LC" }
 [disturbance]
 input = "pendulum_torque"
@@ -94,7 +103,7 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
             "measurement": "ideal",
             "start": {"delta_0": 0.2, "back_emf": False, "encoder_counts": 0, "motor_model": "inductance"},
         },
-        "controller": {"fmu": "IhcController.fmu", "design": "mine.json", "start": {"law": "LC"}},
+        "controller": {"fmu": "IhcController.fmu", "design": "mine.json", "other_model": True, "start": {"law": "LC"}},
         "disturbance": {
             "input": "pendulum_torque",
             "gain": 2.0,
@@ -196,11 +205,11 @@ def test_a_file_goes_before_the_built_in_scenario_of_its_name(tmp_path, monkeypa
 
 def test_changes_replace_only_what_they_name():
     scenario, _ = load_scenario("tilt")
-    changes = {"run.seed": 9, "plant.parameters": None, "controller.start.law": "LC", "plant.start.delta_0": 0.3}
+    changes = {"run.seed": 9, "plant.parameters": "hcs", "controller.start.law": "LC", "plant.start.delta_0": 0.3}
     changed = scenario.changed(changes)
-    assert (changed.run.seed, changed.plant.parameters) == (9, None)
+    assert (changed.run.seed, changed.plant.parameters) == (9, "hcs")
     assert (changed.controller.start, changed.plant.start) == ({"law": "LC"}, {"delta_0": 0.3})
-    undone = {"run.seed": 1, "plant.parameters": "ident", "controller.start": {}, "plant.start.delta_0": 0.1}
+    undone = {"run.seed": 1, "plant.parameters": "none", "controller.start": {}, "plant.start.delta_0": 0.1}
     assert changed.changed(undone) == scenario == load_scenario("tilt")[0]
 
 
@@ -252,13 +261,53 @@ def test_parameter_sets_become_start_values_of_the_plant(fmus, name):
         chosen.back_emf,
     )
     assert start["m_p"] == 0.03  # what the scenario says goes before the set
-    assert start_of(build_system(Scenario().changed({"plant.parameters": None}), fmus), "plant") == {}
+    for none in (Scenario(), Scenario().changed({"plant.parameters": "none"})):
+        assert start_of(build_system(none, fmus), "plant") == {}
+
+
+def test_what_was_exported_stays_unless_the_scenario_says_otherwise(design, tmp_path):
+    plant = {"m_p": 0.03, "D_r": 1e-4}
+    controller = {"sample_time": 2e-3, "velocity_source": "kalman", "nominal_arm_damping": 5e-4, "voltage_limit": 5.0}
+    export_units(design, "hcs", output=tmp_path, changes={"plant": plant, "controller": controller})
+    design.save(tmp_path / "mine.json")
+    for name in built_in_names():
+        system = build_system(load_scenario(name)[0], tmp_path)
+        said = set(plant_start_values("ident")) if name == "paper" else set()  # whose plant is the paper's
+        assert said == start_of(system, "plant").keys() & {*PARAMETER_NUMBERS, "back_emf"}
+        assert not {"sample_time", "nominal_arm_damping", *kalman_gains()} & start_of(system, "controller").keys()
+    own = start_values_of(tmp_path / "QubeServo2.fmu")
+    assert (own["m_p"], own["D_r"], own["J_r"]) == (0.03, 1e-4, PARAMETER_SETS["hcs"].parameters.J_r)
+    other = Scenario().changed({"controller.design": "mine.json", "controller.start.sample_time": 1e-3})
+    start = start_of(build_system(other, tmp_path, tmp_path), "controller")
+    own = start_values_of(tmp_path / "IhcController.fmu")
+    assert start["capture_level"] == own["capture_level"] == pytest.approx(0.85 * (5.0 / 1.5) ** 2, rel=1e-3)
+    nominal = {name: float(value) for name, value in own.items() if name.startswith("nominal_")}
+    kalman = {name: own[name] for name in (*kalman_gains(), "kalman_sample_time")}
+    assert kalman == kalman_values(nominal, 2e-3)
+    assert {name: start[name] for name in kalman} == kalman_values(nominal, 1e-3)
+
+
+def test_a_design_for_another_model_meets_no_plant(design, tmp_path):
+    order = [0, 2, 1, 3]
+    A, b, k_lin = design.A[np.ix_(order, order)], design.b[order], design.k_lin[order]
+    mixed = replace(design, A=A, b=b, k_lin=k_lin, P=design.P[np.ix_(order, order)])
+    message = "its states are in the order theta, theta_dot, delta, delta_dot, not theta, delta, theta_dot, delta_dot"
+    with pytest.raises(UserError, match=f"{message}; --other-model"):
+        export_units(mixed, output=tmp_path / "none")
+    assert not (tmp_path / "none").exists()
+    export_units(mixed, output=tmp_path, other_model=True)
+    with pytest.raises(UserError, match=f"{message}; controller.other_model"):
+        build_system(Scenario(), tmp_path)
+    assert build_system(Scenario().changed({"controller.other_model": True}), tmp_path).components
+    two = inverse_design(np.eye(2, k=1), np.array([0.0, 1.0]), np.array([-1.0, -2.0]), Options(alpha=0.1))
+    with pytest.raises(UserError, match="takes designs of order 4, found order 2"):
+        export_units(two, output=tmp_path)
 
 
 def test_ideal_measurement_wires_the_true_state(fmus):
     scenario = Scenario().changed({"plant.measurement": "ideal", "run.duration": 0.01, "plant.start.theta_dot_0": 0.5})
     system = build_system(scenario, fmus)
-    assert start_of(system, "controller")["velocity_source"] == "input"
+    assert start_of(system, "controller")["velocity_source"] == "inputs"
     ends = {(w.source, w.target) for w in system.wires}
     states = ("theta", "delta", "theta_dot", "delta_dot")
     assert ends == {(f"plant.{s}", f"controller.{s}") for s in states} | {("controller.voltage", "plant.voltage")}
@@ -276,7 +325,7 @@ def test_the_kalman_gain_follows_sample_time_and_nominal_model(fmus):
     nominal = nominal_values(PARAMETER_SETS["ident"].parameters)
     kalman = {"controller__start__velocity_source": "kalman"}
     assert gain() == {}
-    assert gain(**kalman) == pytest.approx(kalman_values(nominal, 1e-3), rel=1e-9)
+    assert gain(**kalman) == {}  # the FMU's own is for these
     assert gain(**kalman, run__step=2e-3) == pytest.approx(kalman_values(nominal, 2e-3), rel=1e-9)
     heavier = {"nominal_gravity_torque": 2 * nominal["nominal_gravity_torque"]}
     found = gain(**kalman, controller__start__nominal_gravity_torque=heavier["nominal_gravity_torque"])

@@ -3,13 +3,11 @@
 import csv
 import dataclasses
 import itertools
-import json
 import math
 import re
 import shutil
 import signal
 import statistics
-import sys
 import time
 from functools import cache
 from pathlib import Path
@@ -19,7 +17,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim import cli
 from cosim.campaign import Journal
 from cosim.errors import UserError
 from cosim.metrics import evaluate, kept_upright
@@ -41,7 +38,7 @@ from cosim.tuning import (
     tune,
 )
 from ihc_fmu.design import Design
-from tests.cosim.command import started
+from tests.cosim.command import ended, journal_rows, started
 
 WRITTEN = ["best.json", "best.toml", "landscape.png", "tuning.csv"]
 
@@ -227,7 +224,7 @@ def better(a, b, most):
 
 @pytest.fixture(scope="module")
 def kept_runs(tmp_path_factory):
-    return tmp_path_factory.mktemp("tuning") / "runs.jsonl"
+    return tmp_path_factory.mktemp("tuning") / "runs.sqlite"
 
 
 @pytest.fixture(scope="module")
@@ -455,7 +452,7 @@ SMALL = Grid(a_min=(1.0, 0.5), b_max=(1.0,), u_max=(3.0,), mu=(1.0,))
 )
 def test_the_best_scenario_gives_the_tuned_numbers_whatever_the_scenario_sets(tilt, tmp_path, undrawn, changes):
     problem = tilt(changes)
-    with Journal(tmp_path / "runs.jsonl", PURPOSE) as journal:
+    with Journal(tmp_path / "runs.sqlite", PURPOSE) as journal:
         tuning = tune(problem, SMALL, journal, 2)
     save(tuning, problem, tmp_path)
     assert best_again(tmp_path, problem) == (tuning.best.measure, tuning.best.chattering)
@@ -477,7 +474,7 @@ def test_the_best_scenario_finds_the_fmus_that_the_tuned_one_found(fmus, design,
     shutil.copytree(fmus, mine)
     (mine / "mine.toml").write_text("[run]\nduration = 0.1\n[plant.start]\ndelta_0 = 0.1\n", encoding="utf-8")
     problem = Problem(*load_scenario(str(mine / "mine.toml")), tmp_path / "nowhere", design, draws=1)
-    with Journal(tmp_path / "runs.jsonl", PURPOSE) as journal:
+    with Journal(tmp_path / "runs.sqlite", PURPOSE) as journal:
         tuning = tune(problem, SMALL, journal, 1)
     save(tuning, problem, tmp_path / "out")
     assert best_again(tmp_path / "out", problem) == (tuning.best.measure, tuning.best.chattering)
@@ -500,33 +497,19 @@ TINY = ("--a-min", "1,0.8,0.6,0.4", "--b-max", "1,1.5", "--u-max", "3", "--mu", 
 
 
 @pytest.fixture
-def said(monkeypatch, capsys, tmp_path):
+def said(monkeypatch, tmp_path):
     """Run the command line in this process in a fresh folder; return (exit code, stdout, stderr)."""
     monkeypatch.chdir(tmp_path)
 
     def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["qube-ihc", *map(str, arguments)])
-        capsys.readouterr()
-        code = 0
-        try:
-            cli.main()
-        except SystemExit as end:
-            code = end.code
-        out, err = capsys.readouterr()
-        return code, out, err.strip()
+        done = ended(*arguments, cwd=tmp_path)
+        return done.returncode, done.stdout, done.stderr.strip()
 
     return run
 
 
-def finished(*arguments, cwd):
-    """Run the command line to its end; return (exit code, stdout, stderr)."""
-    process = started(*map(str, arguments), cwd=cwd)
-    out, err = process.communicate(timeout=120)
-    return process.returncode, out, err
-
-
-def test_help_names_every_option_and_measure(tmp_path):
-    code, out, _ = finished("tune", "--help", cwd=tmp_path)
+def test_help_names_every_option_and_measure(said):
+    code, out, _ = said("tune", "--help")
     missing = [name for name in (*OPTIONS, *MEASURES, "--output", "--fmus", "--set") if name not in out]
     assert (code, missing) == (0, [])
 
@@ -536,24 +519,24 @@ def test_the_command_writes_prints_and_repeats_itself_to_the_byte(elsewhere, sai
     code, _, err = said(*arguments)
     folder = Path("results/tune_tilt")
     assert (code, err) == (0, "")
-    table, runs = (folder / "tuning.csv").read_bytes(), (folder / "runs.jsonl").read_bytes()
+    table, runs = (folder / "tuning.csv").read_bytes(), (folder / "runs.sqlite").read_bytes()
     rows = list(csv.DictReader(table.decode().splitlines()))
-    assert len(runs.splitlines()) == 1 + 4 * len(rows)
+    assert len(journal_rows(folder / "runs.sqlite")) == 4 * len(rows)
 
     scenario, beside = load_scenario("tilt")
     problem = Problem(scenario.changed({"run.duration": 0.5}), beside, fmus, design, "steady_rms", draws=4)
-    with Journal(elsewhere / "other.jsonl", PURPOSE) as journal:
+    with Journal(elsewhere / "other.sqlite", PURPOSE) as journal:
         tuning = tune(problem, Grid((1.0, 0.8, 0.6, 0.4), (1.0, 1.5), (3.0,), (1.0,)), journal, 2)
     save(tuning, problem, elsewhere / "other")
     assert table == (elsewhere / "other" / "tuning.csv").read_bytes()
 
     (folder / "tuning.csv").unlink()
-    code, out, err = finished(*arguments, cwd=elsewhere)
-    assert (code, err.strip()) == (0, "")
-    assert sorted(path.name for path in folder.iterdir()) == sorted([*WRITTEN, "runs.jsonl"])
+    code, out, err = said(*arguments)
+    assert (code, err) == (0, "")
+    assert sorted(path.name for path in folder.iterdir()) == sorted([*WRITTEN, "runs.sqlite"])
     assert all(f"wrote {folder / name}" in out for name in WRITTEN)
     assert (folder / "tuning.csv").read_bytes() == table
-    assert (folder / "runs.jsonl").read_bytes() == runs
+    assert (folder / "runs.sqlite").read_bytes() == runs
     stop, linear = tuning.outcomes[tuning.stops[0]], tuning.linear
     change = f"{100 * (stop.measure / linear.measure - 1):+.1f} %"
     shown = [f"{linear.measure:.4g}", f"{stop.measure:.4g}", change, f"{stop.chattering:.4g}", "4/4", "[rad]", "[V/s]"]
@@ -567,7 +550,7 @@ def test_a_longer_list_goes_on_from_the_kept_runs(elsewhere, said, undrawn):
     for a_min, draws in (("1,0.8", 1), ("1,0.8", 2), ("1,0.8,0.6", 2), ("1,0.8,0.6", 2)):
         code, _, err = said(*arguments, "--a-min", a_min, "--draws", draws)
         assert (code, err) == (0, "")
-        counts.append(len(Path("here/runs.jsonl").read_text(encoding="utf-8").splitlines()) - 1)
+        counts.append(len(journal_rows(Path("here/runs.sqlite"))))
     assert counts == [2, 4, 6, 6]
 
 
@@ -640,22 +623,22 @@ def test_without_fmus_nothing_is_written(said, tmp_path):
 
 
 def test_a_journal_that_is_something_else_is_refused_and_stays(elsewhere, said):
-    path = elsewhere / "results" / "tune_tilt" / "runs.jsonl"
+    path = elsewhere / "results" / "tune_tilt" / "runs.sqlite"
     path.parent.mkdir(parents=True)
     path.write_text('{"mine": 1}\n', encoding="utf-8")
     code, _, err = said("tune", "tilt", *TINY)
     assert (code, len(err.splitlines())) == (2, 1)
-    assert "runs.jsonl is not a journal of the format" in err
+    assert "runs.sqlite is not a journal of finished runs" in err
     assert path.read_text(encoding="utf-8") == '{"mine": 1}\n'
 
 
 def test_ctrl_c_keeps_the_finished_runs_and_the_next_call_goes_on_from_there(elsewhere, said, undrawn):
     arguments = ("tune", "tilt", *TINY, "--set", "run.duration=40")
-    journal = elsewhere / "results" / "tune_tilt" / "runs.jsonl"
+    journal = elsewhere / "results" / "tune_tilt" / "runs.sqlite"
     process = started(*map(str, arguments), cwd=elsewhere)
     try:
         end = time.monotonic() + 60.0
-        while not (journal.exists() and journal.read_bytes().count(b"\n") >= 2):
+        while not journal_rows(journal):
             assert time.monotonic() < end
             assert process.poll() is None, process.communicate()
             time.sleep(0.01)
@@ -667,15 +650,14 @@ def test_ctrl_c_keeps_the_finished_runs_and_the_next_call_goes_on_from_there(els
     assert "interrupted; finished runs are kept, and the same command goes on from there" in err
     assert "Traceback" not in err
     assert list(journal.parent.iterdir()) == [journal]
-    cut = journal.read_text(encoding="utf-8").splitlines()
+    cut = journal_rows(journal)
 
     code, _, err = said(*arguments)
     assert (code, err) == (0, "")
-    whole = journal.read_text(encoding="utf-8").splitlines()
+    whole = journal_rows(journal)
     assert whole[: len(cut)] == cut
-    kept = [json.loads(line)[0] for line in whole[1:]]
     rows = list(csv.DictReader((journal.parent / "tuning.csv").open(encoding="utf-8")))
-    assert len(cut) - 1 < len(kept) == len(set(kept)) == 4 * len(rows)
+    assert len(cut) < len(whole) == 4 * len(rows)
 
     assert said(*arguments, "-o", "uninterrupted")[0] == 0
     assert (elsewhere / "uninterrupted" / "tuning.csv").read_bytes() == (journal.parent / "tuning.csv").read_bytes()

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import typer.main
 
 from cosim.cli import app
 from cosim.scenario import Scenario
@@ -42,15 +43,19 @@ def test_links_lead_to_files(page):
         assert target.startswith("https://") or (page.parent / target).exists(), target
 
 
-COMMANDS = {command.name or command.callback.__name__ for command in app.registered_commands if command.callback}
+COMMANDS = {
+    name: {flag for option in command.params for flag in (*option.opts, *option.secondary_opts)} | {"--help", "-h"}
+    for name, command in typer.main.get_command(app).commands.items()  # type: ignore[attr-defined]
+}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_commands_in_the_text_exist(page):
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
     text = page.read_text(encoding="utf-8")
-    for command in re.findall(r"qube-ihc ([a-z]+)\b(?! master)", text):
+    for command, rest in re.findall(r"qube-ihc ([a-z]+)\b(?! master)([^`#\n]*)", text):
         assert command in COMMANDS, command
+        assert set(re.findall(r"(?<!\S)--?[a-z][\w-]*", rest)) <= COMMANDS[command], f"{command}{rest}"
     for target in re.findall(r"^make (\w+)", text, flags=re.MULTILINE):
         assert f"\n{target}:" in makefile
 

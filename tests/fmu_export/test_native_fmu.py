@@ -214,7 +214,10 @@ def test_unknown_platform_is_refused_with_those_that_there_are(native_units, tmp
 
 def test_binaries_are_for_the_platforms_asked_for(native_units, native_fmus, tmp_path):
     names = [host_platform().name, "aarch64-linux", "aarch64-linux"]
-    files = contents(export_native_fmu(native_units[PLANT], tmp_path / "plant.fmu", platforms=names))
+    built = []
+    path = export_native_fmu(native_units[PLANT], tmp_path / "plant.fmu", platforms=names, building=built.append)
+    assert built == [f"{PLANT} for {name}" for name in names[:2]]
+    files = contents(path)
     found = {file.split("/")[1] for file in files if file.startswith("binaries/")}
     assert found == set(names)
     assert struct.unpack_from("<H", files[f"binaries/aarch64-linux/{PLANT}.so"], 18) == (183,)

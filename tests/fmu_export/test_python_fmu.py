@@ -14,6 +14,7 @@ import pytest
 from fmpy import extract, read_model_description
 
 import fmu_export
+from fmu_export.errors import UserError
 from fmu_export.python_fmu import export_python_fmu
 
 SRC = Path(fmu_export.__file__).parents[1]
@@ -258,7 +259,7 @@ def test_interrupted_export_leaves_an_earlier_file_alone(slaves, tmp_path, monke
             raise OSError("disk full")
 
     monkeypatch.setattr(zipfile.ZipFile, "writestr", write_three)
-    with pytest.raises(OSError, match="disk full"):
+    with pytest.raises(UserError, match=r"unit\.fmu cannot be written: disk full"):
         export_python_fmu(slaves["QubeServo2"], path)
     assert len(written) > 3
     assert path.read_bytes() == b"an earlier file"

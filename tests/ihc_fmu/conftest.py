@@ -44,12 +44,14 @@ class IdealLoop:
         return np.linalg.solve(d.Phi, r ** weights(d.n, d.mu) * (d.Phi @ x))
 
     def norm(self, x, guess=1.0):
-        return homogeneous_norm(norm_polynomial(self.Pz, (self.design.Phi @ x).tolist()), self.design.mu, guess)
+        return homogeneous_norm(
+            norm_polynomial(self.Pz, (self.design.Phi @ x).tolist(), self.design.mu), self.design.mu, guess
+        )
 
     def velocity(self, x, r, disturbance=0.0):
         """Return x' for the norm r in the law."""
         d, r = self.design, max(self.a_min, r)
-        return d.A @ x + d.b * (implicit_homogeneous(d.k_lin, d.kz, d.mu, r, x, d.Phi @ x) + disturbance)
+        return d.A @ x + d.b * (implicit_homogeneous(d.k_lin, d.row, d.kz, d.mu, r, x, d.Phi @ x) + disturbance)
 
     def rate(self, x, r, disturbance=0.0):
         """Return d||x||_d/dt at x with ||x||_d = r, by a central difference along the motion."""

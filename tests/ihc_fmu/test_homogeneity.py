@@ -29,7 +29,7 @@ def chain_states(draw):
 
 
 def norm(Pz, z, mu, guess=1.0):
-    return hom.homogeneous_norm(hom.norm_polynomial(Pz.tolist(), z.tolist()), mu, guess)
+    return hom.homogeneous_norm(hom.norm_polynomial(Pz.tolist(), z.tolist(), mu), mu, guess)
 
 
 def dilated(z, mu, s):
@@ -65,7 +65,7 @@ def test_warm_start_does_not_change_the_norm(state, sigma):
 
 @pytest.mark.parametrize("guess", [0.0, -1.0, inf, nan])
 def test_useless_guess_is_ignored(guess):
-    c = hom.norm_polynomial(np.eye(4).tolist(), [0.1, -0.2, 0.3, 0.4])
+    c = hom.norm_polynomial(np.eye(4).tolist(), [0.1, -0.2, 0.3, 0.4], 1.0)
     assert hom.homogeneous_norm(c, 1.0, guess) == hom.homogeneous_norm(c, 1.0)
 
 
@@ -86,9 +86,9 @@ def test_polynomial_equals_the_norm_by_the_matrix_exponential(n, mu):
     L = rng.normal(size=(n, n))
     P, x = L @ L.T + np.eye(n), rng.normal(size=n)
     Phi = chain_form(A, b).Phi
-    c = hom.norm_polynomial(hom.to_chain(Phi.tolist(), P.tolist()), hom.product(Phi.tolist(), x.tolist()))
-    assert len(c) == 2 * n - 1
-    assert sum(c) == pytest.approx(x @ P @ x, rel=1e-9)
+    c = hom.norm_polynomial(hom.to_chain(Phi.tolist(), P.tolist()), hom.product(Phi.tolist(), x.tolist()), mu)
+    assert len(c.c) == 2 * n - 1
+    assert sum(c.c) == pytest.approx(x @ P @ x, rel=1e-9)
     for r in (0.3, 0.9, 1.0, 2.5):
         y = expm(-generator(Phi, mu) * log(r)) @ x
         assert hom.squared_norm(c, mu, r) == pytest.approx(y @ P @ y, rel=1e-8)
@@ -129,7 +129,7 @@ def clip(value, low, high):
 def searches(draw):
     """(c, mu, norm, starting interval, a_min, b_max, j_max): bounds on either side of the norm, or both beyond it."""
     mu, Pz, z = draw(chain_states())
-    c = hom.norm_polynomial(Pz.tolist(), z.tolist())
+    c = hom.norm_polynomial(Pz.tolist(), z.tolist(), mu)
     r = hom.homogeneous_norm(c, mu)
     a_min = r * 2.0 ** draw(st.floats(-8, 4))
     b_max = a_min * 2.0 ** draw(st.floats(0, 8))
@@ -152,7 +152,7 @@ def test_estimate_converges_to_the_norm_within_its_bounds(search):
 @given(chain_states(), st.integers(1, 8))
 def test_bracket_contracts_by_two_to_the_j_max_and_keeps_the_norm(state, j_max):
     mu, Pz, z = state
-    c = hom.norm_polynomial(Pz.tolist(), z.tolist())
+    c = hom.norm_polynomial(Pz.tolist(), z.tolist(), mu)
     r = hom.homogeneous_norm(c, mu)
     a, b = 0.7 * r, 1.9 * r
     low, high = hom.bisection_update(c, mu, (a, b), a, b, j_max)
@@ -165,7 +165,7 @@ def test_bracket_contracts_by_two_to_the_j_max_and_keeps_the_norm(state, j_max):
 def test_bounds_of_one_give_exactly_one(state, j_max):
     """With a_min = b_max = 1 the controller is the linear one, section IV-A."""
     mu, Pz, z = state
-    c, interval = hom.norm_polynomial(Pz.tolist(), z.tolist()), (1.0, 1.0)
+    c, interval = hom.norm_polynomial(Pz.tolist(), z.tolist(), mu), (1.0, 1.0)
     for _ in range(5):
         interval = hom.bisection_update(c, mu, interval, 1.0, 1.0, j_max)
         assert interval == (1.0, 1.0)
@@ -189,7 +189,7 @@ def printed_algorithm_1(c, mu, interval, a_min, b_max, j_max):
 def test_algorithm_as_printed_stays_linear_inside_the_unit_ball():
     mu, a_min, b_max = 1.0, 0.05, 1.0
     z = dilated(np.array([0.5, 0.5, 0.5, 0.5]), mu, log(0.2))  # norm 0.2 for P = I
-    c = hom.norm_polynomial(np.eye(4).tolist(), z.tolist())
+    c = hom.norm_polynomial(np.eye(4).tolist(), z.tolist(), mu)
     printed = ours = (a_min, b_max)
     for _ in range(20):
         printed = printed_algorithm_1(c, mu, printed, a_min, b_max, 3)
@@ -206,7 +206,7 @@ def test_norm_is_found_from_any_guess_where_newton_alone_would_cycle(design):
     states += [np.array([112839.47, 36.992, -303.178, -2.51214])]
     states += list(rng.normal(size=(500, 4)) * 10.0 ** rng.uniform(-5, 4, (500, 4)))
     for x in states:
-        c = hom.norm_polynomial(Pz, (design.Phi @ x).tolist())
+        c = hom.norm_polynomial(Pz, (design.Phi @ x).tolist(), 1.0)
         for guess in (1.0, 1e-6, 1e10, 1e100, 1e-60, 0.0, nan):
             r = hom.homogeneous_norm(c, 1.0, guess)
             assert hom.squared_norm(c, 1.0, r * (1 - 1e-9)) > 1.0 > hom.squared_norm(c, 1.0, r * (1 + 1e-9))

@@ -37,7 +37,7 @@ class Law:
         return r ** (1 - mu) * self.k @ expm(-generator(self.Phi, mu) * log(r)) - self.row
 
     def explicit(self, mu, r):
-        return laws.implicit_homogeneous(self.k_lin, self.kz, mu, r, self.x, self.z)
+        return laws.implicit_homogeneous(self.k_lin, self.row, self.kz, mu, r, self.x, self.z)
 
     def semi_implicit(self, mu, r, h):
         return laws.implicit_homogeneous_semi(self.kz, self.row_z, mu, r, h, self.z)
@@ -61,8 +61,8 @@ def test_chain_control_is_homogeneous_of_degree_one_minus_mu(law, s):
     mu, kz, row, Pz, z = law
 
     def chain_control(z):
-        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, z), mu)
-        return laws.implicit_homogeneous(kz - row, kz, mu, r, z, z) + row @ z
+        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, z, mu), mu)
+        return laws.implicit_homogeneous(kz - row, row, kz, mu, r, z, z) + row @ z
 
     dilated = np.exp(s * weights(len(z), mu)) * z
     rounding = (np.abs(kz) + np.abs(row)) @ (np.abs(dilated) + exp((1 - mu) * s) * np.abs(z))
@@ -75,9 +75,9 @@ def test_chain_control_is_homogeneous_of_degree_one_minus_mu(law, s):
 def test_bounds_of_one_give_the_linear_law_to_the_last_bit(law, j_max):
     mu, kz, row, Pz, z = law
     k_lin = kz - row
-    c = homogeneity.norm_polynomial(Pz, z)
+    c = homogeneity.norm_polynomial(Pz, z, mu)
     _, r = homogeneity.bisection_update(c, mu, (1.0, 1.0), 1.0, 1.0, j_max)
-    assert laws.implicit_homogeneous(k_lin, kz, mu, r, z, z) == laws.linear(k_lin, z)
+    assert laws.implicit_homogeneous(k_lin, row, kz, mu, r, z, z) == laws.linear(k_lin, z)
 
 
 @examples
@@ -86,8 +86,8 @@ def test_laws_coincide_on_the_unit_sphere(law):
     """The premise of eq. (10): u = k_lin x where ||x||_d = 1."""
     mu, kz, row, Pz, z = law
     y = z / np.sqrt(z @ Pz @ z)
-    r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, y), mu)
-    u = laws.implicit_homogeneous(kz - row, kz, mu, r, y, y)
+    r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, y, mu), mu)
+    u = laws.implicit_homogeneous(kz - row, row, kz, mu, r, y, y)
     assert u == pytest.approx((kz - row) @ y, rel=1e-11, abs=1e-12)
 
 
@@ -112,12 +112,12 @@ def test_norm_and_controls_are_those_of_the_authors_toolbox(hcs_cases, name):
         assert v["monotone"]
         mu, x = -v["mu"], v["x"]
         z = form.Phi @ x
-        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, z), mu)
+        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, z, mu), mu)
         clamped = min(1.0, max(0.3, r))
         found = (
             r,
-            laws.implicit_homogeneous(k_lin, kz, mu, r, x, z),
-            laws.implicit_homogeneous(k_lin, kz, mu, clamped, x, z),
+            laws.implicit_homogeneous(k_lin, form.row, kz, mu, r, x, z),
+            laws.implicit_homogeneous(k_lin, form.row, kz, mu, clamped, x, z),
             laws.implicit_homogeneous_semi(kz, row_z, mu, clamped, 1e-3, z),
         )
         expected = [v[key] for key in ("hnorm", "u_e_hpc", "u_e_hpc_clamp_0.3_1", "u_si_hpc_h1e-3_clamp_0.3_1")]

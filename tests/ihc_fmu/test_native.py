@@ -12,6 +12,7 @@ import pytest
 from fmpy import extract
 from fmpy.fmi1 import FMICallException
 
+from fmu_export.errors import UserError
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.interface import INTERFACE
 from ihc_fmu.native_unit import NATIVE
@@ -153,11 +154,24 @@ def test_kalman_filter_is_the_same_with_and_without_compensation(pair):
 
 
 @pytest.mark.parametrize("source", SOURCE)
-@pytest.mark.parametrize(("sample_time", "step"), [(5e-3, 1e-3), (1e-3, 2.5e-4), (2e-3, 2e-3), (1 / 60, 1 / 600)])
-def test_sample_time_that_is_a_multiple_of_the_step_is_the_same_in_both(sample_time, step, source, pair, start_values):
+@pytest.mark.parametrize(
+    ("sample_time", "step"),
+    [(5e-3, 1e-3), (1e-3, 2.5e-4), (2e-3, 2e-3), (1 / 60, 1 / 600), (1e-3, 1e-2), (1e-3, 0.016), (1 / 600, 1 / 60)],
+)
+def test_samples_within_and_between_steps_are_the_same_in_both(sample_time, step, source, pair, start_values):
     gain = kalman_values(start_values, sample_time)
     both = pair(sample_time=sample_time, velocity_source=source, **gain)
     found = follow(both, MEASURED[::2], step)
+    assert [message for _, _, message in both[0].log] == (
+        []
+        if step <= sample_time
+        else [
+            f"t = 0 s: a communication step of {step:g} s holds the inputs over several samples of sample_time = "
+            f"{sample_time:g} s"
+        ]
+    )
+    if step > sample_time:
+        return
     ratio = round(sample_time / step)
     assert all(k % ratio == 0 for k in np.flatnonzero(np.diff(found["voltage"])) + 1)
     assert len(set(found["voltage"])) > 10
@@ -367,12 +381,21 @@ def test_start_values_that_contradict_each_other_are_refused_by_both_with_the_sa
     assert message.startswith(words)
 
 
-@pytest.mark.parametrize("step", [2e-3, 3e-4, 7e-4, 1.001e-3])
-def test_step_that_does_not_divide_the_sample_time_is_refused_by_both_with_the_same_words(step, pair):
+@pytest.mark.parametrize(
+    ("step", "rule"),
+    [
+        *[
+            (step, f"or the step of it, found sample_time = 0.001 s and a communication step of {step:g} s")
+            for step in (2.5e-3, 3e-4, 7e-4, 1.001e-3, 1.6e-3, 1e-320)
+        ],
+        (1e4, "must not exceed 1000000 samples of sample_time = 0.001 s, found 10000 s"),
+    ],
+)
+def test_step_that_does_not_fit_the_sample_time_is_refused_by_both_with_the_same_words(step, rule, pair):
     native, python = both = pair()
     follow(both, MEASURED[:5])
     before = native.outputs()
-    with pytest.raises(ValueError, match="sample_time must be a multiple of the communication step") as caught:
+    with pytest.raises(UserError, match=rule) as caught:
         python.step(5e-3, step, MEASURED[5])
     with pytest.raises(FMICallException):
         native.step(5e-3, step, **by_name(MEASURED[5]))

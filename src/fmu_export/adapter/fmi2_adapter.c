@@ -1,14 +1,20 @@
-/* The C interface of FMI 2.0.2 over an fmu_instance: which call is allowed when, and what its arguments must be. */
+/* The C interface of FMI 2.0.5 over an fmu_instance: which call is allowed when, and what its arguments must be. */
+#include "fmu_model.h" /* FMI2_FUNCTION_PREFIX */
+#include "fmi2Functions.h"
+
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "fmu_instance.h"
 
-enum { PROBLEM_SIZE = 1024 };
-
-static const unsigned SETTABLE = FMU_INSTANTIATED | FMU_INITIALIZATION | FMU_STEP | FMU_EVENT | FMU_CONTINUOUS;
-static const unsigned ANY_PHASE = SETTABLE | FMU_TERMINATED;
+enum {
+    PROBLEM_SIZE = 1024,
+    RUNNING = FMU_STEP | FMU_EVENT | FMU_CONTINUOUS,
+    SETTABLE = FMU_INSTANTIATED | FMU_INITIALIZATION | RUNNING,
+    ANY_PHASE = SETTABLE | FMU_TERMINATED,
+    READABLE = FMU_INITIALIZATION | RUNNING | FMU_TERMINATED
+};
 
 static const char *phase_name(fmu_phase phase)
 {
@@ -160,6 +166,8 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
     }
     m->progress.experiment_set = 1;
     m->progress.time = startTime;
+    m->progress.stop_defined = stopTimeDefined != fmi2False;
+    m->progress.stop = stopTimeDefined ? stopTime : 0.0;
     return fmi2OK;
 }
 
@@ -192,7 +200,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 fmi2Status fmi2Terminate(fmi2Component c)
 {
     fmu_instance *m = c;
-    if (!allowed(m, "fmi2Terminate", FMU_STEP | FMU_EVENT | FMU_CONTINUOUS)) {
+    if (!allowed(m, "fmi2Terminate", RUNNING)) {
         return fmi2Error;
     }
     m->progress.phase = FMU_TERMINATED;
@@ -225,7 +233,8 @@ static fmi2Status set(fmi2Component c, const char *call, fmu_type type, const fm
                       const void *value)
 {
     fmu_instance *m = c;
-    if (!allowed(m, call, SETTABLE) || !present(m, call, vr, nvr) || !present(m, call, value, nvr)) {
+    const unsigned phases = type == FMU_REAL ? SETTABLE : SETTABLE & ~(unsigned)FMU_CONTINUOUS;
+    if (!allowed(m, call, phases) || !present(m, call, vr, nvr) || !present(m, call, value, nvr)) {
         return fmi2Error;
     }
     return fmu_set(m, type, vr, nvr, value);
@@ -391,24 +400,13 @@ typedef union {
     unsigned char bytes[FMU_MOST_BYTES];
 } room;
 
-/* Index of the state with a value reference in model exchange, or -1. */
-static int state_index(const fmu_instance *m, fmi2ValueReference vr)
-{
-    for (size_t i = 0; m->kind == fmi2ModelExchange && i < m->states; i++) {
-        if (m->unit->continuous->states[i] == vr) {
-            return (int)i;
-        }
-    }
-    return -1;
-}
-
 /* Spread the seeds over states and inputs. */
 static fmi2Status seed(const fmu_instance *m, const fmi2ValueReference known[], size_t count, const fmi2Real seeds[],
                        double dx[FMU_MOST_STATES], room *dinputs)
 {
     for (size_t i = 0; i < count; i++) {
         const fmu_variable *v = known[i] < m->unit->variable_count ? &m->unit->variables[known[i]] : NULL;
-        const int state = state_index(m, known[i]);
+        const int state = fmu_state_index(m, known[i]);
         if (state >= 0) {
             dx[state] += seeds[i];
         } else if (v != NULL && v->role == FMU_INPUT && v->type == FMU_REAL) {
@@ -432,7 +430,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     fmu_instance *m = c;
     double dx[FMU_MOST_STATES] = {0.0};
     room dinputs, doutputs;
-    if (!allowed(m, call, FMU_INITIALIZATION | FMU_STEP | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED)
+    if (!allowed(m, call, READABLE)
         || !present(m, call, vUnknown_ref, nUnknown) || !present(m, call, vKnown_ref, nKnown)
         || !present(m, call, dvKnown, nKnown) || !present(m, call, dvUnknown, nUnknown)) {
         return fmi2Error;
@@ -503,10 +501,26 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     return unsupported(c, "fmi2GetRealOutputDerivatives", "derivatives of outputs are not provided");
 }
 
+/* Whether a status may be asked for: from the first step on. */
+static int has_status(const fmu_instance *m, const char *call, const void *value)
+{
+    if (!allowed(m, call, FMU_STEP | FMU_TERMINATED) || !present(m, call, value, 1)) {
+        return 0;
+    }
+    if (m->kind != fmi2CoSimulation) {
+        fmu_say(m, fmi2Error, "%s is for co-simulation", call);
+        return 0;
+    }
+    return 1;
+}
+
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *value)
 {
-    fmu_instance *m = c;
-    if (!allowed(m, "fmi2GetStatus", ANY_PHASE) || !present(m, "fmi2GetStatus", value, 1) || s != fmi2DoStepStatus) {
+    const fmu_instance *m = c;
+    if (!has_status(m, "fmi2GetStatus", value)) {
+        return fmi2Error;
+    }
+    if (s != fmi2DoStepStatus) {
         return fmi2Discard;
     }
     *value = m->progress.last_status;
@@ -515,9 +529,11 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind s, fmi2Status *va
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value)
 {
-    fmu_instance *m = c;
-    if (!allowed(m, "fmi2GetRealStatus", ANY_PHASE) || !present(m, "fmi2GetRealStatus", value, 1)
-        || s != fmi2LastSuccessfulTime) {
+    const fmu_instance *m = c;
+    if (!has_status(m, "fmi2GetRealStatus", value)) {
+        return fmi2Error;
+    }
+    if (s != fmi2LastSuccessfulTime) {
         return fmi2Discard;
     }
     *value = m->progress.time;
@@ -526,17 +542,17 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind s, fmi2Integer *value)
 {
-    (void)c;
     (void)s;
-    (void)value;
-    return fmi2Discard;
+    return has_status(c, "fmi2GetIntegerStatus", value) ? fmi2Discard : fmi2Error; /* no kind is an Integer */
 }
 
 fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boolean *value)
 {
     const fmu_instance *m = c;
-    if (!allowed(m, "fmi2GetBooleanStatus", ANY_PHASE) || !present(m, "fmi2GetBooleanStatus", value, 1)
-        || s != fmi2Terminated) {
+    if (!has_status(m, "fmi2GetBooleanStatus", value)) {
+        return fmi2Error;
+    }
+    if (s != fmi2Terminated) {
         return fmi2Discard;
     }
     *value = fmi2False;
@@ -545,10 +561,8 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2String *value)
 {
-    (void)c;
     (void)s;
-    (void)value;
-    return fmi2Discard;
+    return has_status(c, "fmi2GetStringStatus", value) ? fmi2Discard : fmi2Error; /* no step is pending */
 }
 
 /* ---- Model exchange ---------------------------------------------------------------------------------------------- */
@@ -618,7 +632,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
 {
     fmu_instance *m = c;
-    if (!allowed(m, "fmi2SetTime", FMU_EVENT | FMU_CONTINUOUS)) {
+    if (!allowed(m, "fmi2SetTime", FMU_CONTINUOUS)) {
         return fmi2Error;
     }
     if (!isfinite(time)) {
@@ -631,7 +645,7 @@ fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
 fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t nx)
 {
     fmu_instance *m = c;
-    if (!fits(m, "fmi2SetContinuousStates", FMU_EVENT | FMU_CONTINUOUS, x, nx, m == NULL ? 0 : m->states)) {
+    if (!fits(m, "fmi2SetContinuousStates", FMU_CONTINUOUS, x, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
     for (size_t i = 0; i < nx; i++) {
@@ -648,26 +662,24 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
 fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t nx)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
-    if (!fits(m, "fmi2GetContinuousStates", phases, x, nx, m == NULL ? 0 : m->states)) {
+    if (!fits(m, "fmi2GetContinuousStates", READABLE, x, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
-    const double *states = fmu_states(m);
-    if (states == NULL) {
+    if (m->progress.phase == FMU_INITIALIZATION && fmu_initialize(m) != fmi2OK) {
         return fmi2Error;
     }
-    memcpy(x, states, nx * sizeof x[0]);
+    memcpy(x, m->unit->continuous->values(m->state), nx * sizeof x[0]);
     return fmi2OK;
 }
 
 fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
-    if (!fits(m, "fmi2GetDerivatives", phases, derivatives, nx, m == NULL ? 0 : m->states)) {
+    if (!fits(m, "fmi2GetDerivatives", READABLE, derivatives, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
-    const fmi2Status status = fmu_observe(m, "fmi2GetDerivatives");
+    const fmi2Status status =
+        m->progress.phase == FMU_INITIALIZATION ? fmu_initialize(m) : fmu_observe(m, "fmi2GetDerivatives");
     for (size_t i = 0; status == fmi2OK && i < nx; i++) {
         derivatives[i] = *(const double *)m->where[m->unit->continuous->derivatives[i]];
         if (!isfinite(derivatives[i])) {
@@ -680,8 +692,7 @@ fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t nx
 fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal[], size_t nx)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_INSTANTIATED | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
-    if (!fits(m, "fmi2GetNominalsOfContinuousStates", phases, x_nominal, nx, m == NULL ? 0 : m->states)) {
+    if (!fits(m, "fmi2GetNominalsOfContinuousStates", ANY_PHASE, x_nominal, nx, m == NULL ? 0 : m->states)) {
         return fmi2Error;
     }
     for (size_t i = 0; i < nx; i++) {
@@ -693,6 +704,5 @@ fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x_nominal
 fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real eventIndicators[], size_t ni)
 {
     fmu_instance *m = c;
-    const unsigned phases = FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS | FMU_TERMINATED;
-    return fits(m, "fmi2GetEventIndicators", phases, eventIndicators, ni, 0) ? fmi2OK : fmi2Error;
+    return fits(m, "fmi2GetEventIndicators", READABLE, eventIndicators, ni, 0) ? fmi2OK : fmi2Error;
 }

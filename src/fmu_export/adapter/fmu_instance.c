@@ -4,9 +4,10 @@
 #include <stdarg.h>
 #include <stdint.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
-enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 1 };
+enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 2 };
 
 /* What a usual call does not come to is kept out of its way. */
 #if defined __GNUC__
@@ -139,7 +140,7 @@ static int allocate(fmu_instance *m)
 
 void fmu_set_start(fmu_instance *m)
 {
-    const fmu_progress fresh = {FMU_INSTANTIATED, 0, 0.0, fmi2OK};
+    const fmu_progress fresh = {FMU_INSTANTIATED, 0, 0.0, 0.0, fmi2OK, 0};
     m->progress = fresh;
     memset(m->block, 0, m->block_size);
     for (size_t i = 0; i < m->unit->variable_count; i++) {
@@ -256,12 +257,14 @@ fmi2Status fmu_initialize(fmu_instance *m)
     return fmi2OK;
 }
 
-const double *fmu_states(fmu_instance *m)
+int fmu_state_index(const fmu_instance *m, fmi2ValueReference vr)
 {
-    if (m->progress.phase == FMU_INITIALIZATION && fmu_initialize(m) != fmi2OK) {
-        return NULL;
+    for (size_t i = 0; m->kind == fmi2ModelExchange && i < m->states; i++) {
+        if (m->unit->continuous->states[i] == vr) {
+            return (int)i;
+        }
     }
-    return m->unit->continuous->values(m->state);
+    return -1;
 }
 
 fmi2Status fmu_advance(fmu_instance *m, double time, double step)
@@ -273,6 +276,10 @@ fmi2Status fmu_advance(fmu_instance *m, double time, double step)
     if (!(fabs(time - m->progress.time) <= TIME_TOLERANCE * step + 1e-12 * fabs(m->progress.time))) {
         return fmu_say(m, fmi2Error, "time must not jump: the last step ended at %.17g s, this begins at %.17g s",
                        m->progress.time, time);
+    }
+    if (m->progress.stop_defined && !(time + step <= m->progress.stop + TIME_TOLERANCE * step + 1e-12 * fabs(m->progress.stop))) {
+        return fmu_say(m, fmi2Error, "a step must not pass the stop time %.17g s, found one that ends at %.17g s",
+                       m->progress.stop, time + step);
     }
     const int status = m->unit->step(m->parameters, m->prepared, m->state, time, step, m->inputs);
     if (status != 0) {
@@ -352,14 +359,21 @@ static int settable(const fmu_instance *m, const fmu_variable *v)
     }
 }
 
-/* Whether a call may set the variable to the value now; says so where it may not. */
-static int admissible(const fmu_instance *m, const fmu_variable *v, double value)
+/* Whether it is a continuous state that a solver may set now. */
+static int is_free_state(const fmu_instance *m, fmi2ValueReference vr)
 {
-    if (v->role == FMU_OUTPUT) {
+    return m->progress.phase == FMU_CONTINUOUS && fmu_state_index(m, vr) >= 0;
+}
+
+/* Whether a call may set the variable to the value now; says so where it may not. */
+static int admissible(const fmu_instance *m, fmi2ValueReference vr, double value)
+{
+    const fmu_variable *v = &m->unit->variables[vr];
+    if (v->role == FMU_OUTPUT && !is_free_state(m, vr)) {
         fmu_say(m, fmi2Error, "%s is an output and cannot be set", v->name);
         return 0;
     }
-    if (!settable(m, v)) {
+    if (v->role != FMU_OUTPUT && !settable(m, v)) {
         fmu_say(m, fmi2Error, "%s is a %s parameter, which cannot be set in this state", v->name,
                 v->role == FMU_FIXED ? "fixed" : "tunable");
         return 0;
@@ -379,7 +393,10 @@ static void assign(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
 {
     for (size_t i = 0; i < count; i++) {
         if (type == FMU_REAL) {
-            *(double *)m->where[vr[i]] = ((const double *)values)[i];
+            double *place = is_free_state(m, vr[i])
+                ? m->unit->continuous->values(m->state) + fmu_state_index(m, vr[i])
+                : m->where[vr[i]];
+            *place = ((const double *)values)[i];
         } else {
             const int value = ((const int *)values)[i];
             *(int *)m->where[vr[i]] = type == FMU_BOOLEAN ? value != 0 : value;
@@ -427,7 +444,7 @@ fmi2Status fmu_set(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
         const double value = type == FMU_REAL ? ((const double *)values)[i]
             : type == FMU_BOOLEAN             ? ((const int *)values)[i] != 0
                                               : ((const int *)values)[i];
-        if (!admissible(m, v, value)) {
+        if (!admissible(m, vr[i], value)) {
             return fmi2Error;
         }
         tunable |= v->role == FMU_TUNABLE;

@@ -5,10 +5,10 @@
 #ifndef FMU_INSTANCE_H
 #define FMU_INSTANCE_H
 
-#include "fmi2Functions.h"
+#include "fmi2FunctionTypes.h"
 #include "fmu_unit.h"
 
-/* States of FMI 2.0.2, figures 7 and 11, as bits so that a call can name those that allow it. */
+/* States of FMI 2.0.5, sections 3.2.3 and 4.2.4, as bits so that a call can name those that allow it. */
 typedef enum {
     FMU_INSTANTIATED = 1,
     FMU_INITIALIZATION = 2,
@@ -23,7 +23,9 @@ typedef struct {
     fmu_phase phase;
     int experiment_set;
     double time; /* [s] */
+    double stop; /* end of the experiment where one is defined [s] */
     fmi2Status last_status;
+    int stop_defined;
 } fmu_progress;
 
 typedef struct {
@@ -56,6 +58,8 @@ typedef struct {
     unsigned char *block;
 } fmu_snapshot;
 
+FMU_PRIVATE_BEGIN
+
 fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *resource_location, char *problem,
                          size_t problem_size);
 void fmu_destroy(fmu_instance *m);
@@ -76,8 +80,8 @@ fmi2Status fmu_initialize(fmu_instance *m);
 /* Advance by `step` [s]. */
 fmi2Status fmu_advance(fmu_instance *m, double time, double step);
 
-/* Continuous states, from the start values in initialization; NULL where these are refused. */
-const double *fmu_states(fmu_instance *m);
+/* Index of the continuous state with a value reference in model exchange, or -1. */
+int fmu_state_index(const fmu_instance *m, fmi2ValueReference vr);
 
 /* Model exchange: outputs under the present inputs and states. */
 fmi2Status fmu_observe(fmu_instance *m, const char *call);
@@ -102,5 +106,7 @@ void fmu_serialize(const fmu_instance *m, const fmu_snapshot *s, unsigned char *
 
 /* NULL with a sentence in the log for bytes that are no state of this FMU. */
 fmu_snapshot *fmu_deserialize(const fmu_instance *m, const unsigned char *bytes, size_t size);
+
+FMU_PRIVATE_END
 
 #endif

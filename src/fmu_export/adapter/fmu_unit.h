@@ -9,6 +9,8 @@
 
 #include <stddef.h>
 
+#include "fmu_names.h"
+
 /* Limits of a unit; its generated table asserts them. */
 enum { FMU_MOST_STATES = 16, FMU_MOST_BYTES = 1024, FMU_GUID_SIZE = 64 };
 
@@ -56,7 +58,9 @@ typedef struct {
     const fmu_continuous *continuous; /* NULL: co-simulation only */
 } fmu_unit;
 
-/* The one unit of a binary, defined in its generated table. */
+FMU_PRIVATE_BEGIN
+
+/* The unit, defined beside its functions. */
 extern const fmu_unit fmu_the_unit;
 
 /* Read the GUID and the start values of all variables, in the table's order; outputs have 0.
@@ -66,5 +70,7 @@ extern const fmu_unit fmu_the_unit;
  */
 int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE], double *values, size_t count,
                           char *problem, size_t problem_size);
+
+FMU_PRIVATE_END
 
 #endif

@@ -1,13 +1,28 @@
 #include "ihc_controller.h"
 
+#include <float.h>
 #include <math.h>
+#include <stdlib.h>
 
 enum { N = IHC_ORDER };
+
+enum {
+    FAR = 100,   /* binary orders of magnitude between r and a norm beyond which N(r) is taken for 0 or infinite */
+    SHIFT = 600  /* states beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times them */
+};
 
 static const double PI = 3.14159265358979323846;
 static const double TURN = 2.0 * 3.14159265358979323846;
 static const double LEAST_GUESS = 1e-12;   /* a guess of the norm is used between these two [1] */
 static const double LARGEST_GUESS = 1e12;
+static const double LEAST_ORDINARY = 0x1p-200; /* chain coordinates between these two need no scaling ... */
+static const double MOST_ORDINARY = 0x1p200;
+static const double NEGLIGIBLE = 0x1p-500; /* ... and this small they are nothing beside others near 1 */
+static const double UNBOUNDED = 1e9;       /* stands for the logarithm of a norm that is not known yet */
+static const double LEAST = 0x1p-1000;          /* smaller measurements and filtered values count as 0 ... */
+static const double LEAST_ESTIMATE = 0x1p-300;  /* ... and smaller estimates of an observer */
+static const double SMALL = 0x1p-600, LARGE = 0x1p600; /* 2^-SHIFT, 2^SHIFT */
+static const double MOST = 0x1p400;        /* beyond any voltage limit */
 static const double CONVERGED = 1e-9;      /* a Newton step so small leaves an error of its square */
 static const double BIAS_DECAY = 1e-3;     /* rate at which the Kalman filter forgets the bias [1/s] */
 static const double REST_VELOCITY = 0.05;  /* the pendulum counts as at rest below this [rad/s] ... */
@@ -17,6 +32,12 @@ static double clamp(double value, double low, double high)
 {
     const double above = value > low ? value : low;
     return above < high ? above : high;
+}
+
+/* The value, 0 where it is smaller than `least`: on subnormal numbers processors are many times slower. */
+static double flushed(double value, double least)
+{
+    return fabs(value) > 0.0 && fabs(value) < least ? 0.0 : value;
 }
 
 static double dot(const double a[N], const double b[N])
@@ -30,15 +51,65 @@ static double dot(const double a[N], const double b[N])
 
 /* ---- Canonical homogeneous norm ---------------------------------------------------------------------------------- */
 
-void ihc_norm_polynomial(const double Pz[N][N], const double z[N], double c[IHC_COEFFICIENTS])
+/* floor(x/4 + 1/2) as a whole number, for an x of moderate size. */
+static int nearest_fourth(double x)
 {
+    return (int)floor(clamp(x, -1e6, 1e6) / 4.0 + 0.5);
+}
+
+/* d(-e ln 2) 2^shift z and e, a multiple of 4 near the binary logarithm of the norm; a state that is not finite stays. */
+static int scale(const double Pz[N][N], const double z[N], double mu, int shift, double scaled[N])
+{
+    double largest = -INFINITY;
+    int finite = 1, e = 0;
+    for (int i = 0; i < N; i++) {
+        int of_z = 0, of_P = 0;
+        scaled[i] = z[i];
+        finite = finite && isfinite(z[i]);
+        if (finite && z[i] != 0.0) {
+            frexp(z[i], &of_z);
+            frexp(Pz[i][i], &of_P);
+            largest = fmax(largest, (of_z + shift + 0.5 * of_P) / (1.0 + mu * (N - 1 - i)));
+        }
+    }
+    if (!finite || largest == -INFINITY) {
+        return 0;
+    }
+    e = 4 * nearest_fourth(largest);
+    for (int i = 0; i < N; i++) {
+        const double power = shift - e * (1.0 + mu * (N - 1 - i));
+        const double whole = floor(power);
+        const double entry = ldexp(z[i] * pow(2.0, power - whole), (int)clamp(whole, -1e6, 1e6));
+        scaled[i] = fabs(entry) >= NEGLIGIBLE ? entry : 0.0;
+    }
+    return e;
+}
+
+static int is_ordinary(const double z[N])
+{
+    for (int i = 0; i < N; i++) {
+        if (z[i] != 0.0 && !(fabs(z[i]) >= LEAST_ORDINARY && fabs(z[i]) <= MOST_ORDINARY)) {
+            return 0;
+        }
+    }
+    return 1;
+}
+
+void ihc_norm_polynomial(const double Pz[N][N], const double z[N], double mu, int shift, ihc_polynomial *p)
+{
+    double scaled[N];
+    p->exponent = 0;
+    if (shift != 0 || !is_ordinary(z)) {
+        p->exponent = scale(Pz, z, mu, shift, scaled);
+        z = scaled;
+    }
     for (int m = 0; m < IHC_COEFFICIENTS; m++) {
-        c[m] = 0.0;
+        p->c[m] = 0.0;
     }
     for (int i = 0; i < N; i++) {
-        c[2 * (N - 1 - i)] += Pz[i][i] * z[i] * z[i];
+        p->c[2 * (N - 1 - i)] += Pz[i][i] * z[i] * z[i];
         for (int j = i + 1; j < N; j++) {
-            c[2 * N - 2 - i - j] += 2.0 * Pz[i][j] * z[i] * z[j];
+            p->c[2 * N - 2 - i - j] += 2.0 * Pz[i][j] * z[i] * z[j];
         }
     }
 }
@@ -49,29 +120,47 @@ static double inverse_power(double r, double mu)
     return mu == 1.0 ? 1.0 / r : pow(r, -mu);
 }
 
-double ihc_squared_norm(const double c[IHC_COEFFICIENTS], double mu, double r)
+/* Binary order of magnitude of a positive number: value = m 2^order, 0.5 <= m < 1. */
+static int order_of(double value)
 {
+    int order = 0;
+    frexp(value, &order);
+    return order;
+}
+
+double ihc_squared_norm(const ihc_polynomial *p, double mu, double r)
+{
+    if (p->exponent != 0) {
+        const int distance = order_of(r) - p->exponent;
+        if (distance > FAR || distance < -FAR) {
+            return distance > 0 ? 0.0 : INFINITY;
+        }
+        r = ldexp(r, -p->exponent);
+    }
     const double s = inverse_power(r, mu);
     double total = 0.0;
     for (int m = IHC_COEFFICIENTS - 1; m >= 0; m--) {
-        total = total * s + c[m];
+        total = total * s + p->c[m];
     }
     return total / (r * r);
 }
 
-double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double guess)
+/* The start of the search in the coordinates of the polynomial; 1 where the guess is of no use. */
+static double scaled_guess(double guess, int exponent)
 {
-    double size = 0.0, low = -INFINITY, high = INFINITY, last = INFINITY;
-    for (int m = 0; m < IHC_COEFFICIENTS; m++) {
-        if (!isfinite(c[m])) {
-            return NAN;
-        }
-        size = fabs(c[m]) > size ? fabs(c[m]) : size;
+    if (exponent != 0) {
+        const int near = guess > 0.0 && guess < INFINITY && abs(order_of(guess) - exponent) < FAR;
+        guess = near ? ldexp(guess, -exponent) : 1.0;
     }
-    if (size == 0.0) {
-        return 0.0;
-    }
-    double sigma = guess > LEAST_GUESS && guess < LARGEST_GUESS ? log(guess) : 0.0;
+    return guess > LEAST_GUESS && guess < LARGEST_GUESS ? guess : 1.0;
+}
+
+/* The root sigma of ln N(e^sigma) = 0, as e^sigma. Every logarithm and quotient has an argument that is safe whether or
+ * not its result is used: compilers evaluate them early, and a host may have unmasked floating-point exceptions. */
+static double root_of(const double c[IHC_COEFFICIENTS], double mu, double guess)
+{
+    double low = -UNBOUNDED, high = UNBOUNDED, last = UNBOUNDED;
+    double sigma = log(guess);
     for (int k = 0; k < IHC_NEWTON_LIMIT; k++) {
         const double s = exp(-mu * sigma);
         double value = 0.0, weighted = 0.0;
@@ -89,12 +178,12 @@ double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double 
             high = sigma;
         }
         const double slope = 2.0 + mu * s * weighted / value;
-        const double step = slope > 0.0 ? error / slope : INFINITY;
+        const double step = slope > 0.0 ? error / slope : UNBOUNDED;
         if (fabs(step) <= CONVERGED) {
             return exp(sigma + step);
         }
         double following = sigma + clamp(step, -4.0, 4.0);
-        if (high - low < INFINITY
+        if (low > -UNBOUNDED && high < UNBOUNDED
             && !(low < following && following < high && fabs(following - sigma) <= 0.5 * last)) {
             following = 0.5 * (low + high);
         }
@@ -107,20 +196,39 @@ double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double 
     return exp(sigma);
 }
 
-void ihc_bisection_update(const double c[IHC_COEFFICIENTS], double mu, double interval[2], double a_min, double b_max,
+double ihc_homogeneous_norm(const ihc_polynomial *p, double mu, double guess)
+{
+    double size = 0.0;
+    for (int m = 0; m < IHC_COEFFICIENTS; m++) {
+        if (!isfinite(p->c[m])) {
+            return NAN;
+        }
+        size = fabs(p->c[m]) > size ? fabs(p->c[m]) : size;
+    }
+    if (size == 0.0) {
+        return 0.0;
+    }
+    const double root = root_of(p->c, mu, scaled_guess(guess, p->exponent));
+    if (p->exponent == 0 || isnan(root)) {
+        return root;
+    }
+    return order_of(root) + p->exponent > DBL_MAX_EXP ? DBL_MAX : ldexp(root, p->exponent);
+}
+
+void ihc_bisection_update(const ihc_polynomial *p, double mu, double interval[2], double a_min, double b_max,
                           int j_max)
 {
     double a = interval[0], b = interval[1];
-    if (ihc_squared_norm(c, mu, b) > 1.0) {
+    if (ihc_squared_norm(p, mu, b) > 1.0) {
         a = b;
         b = fmin(2.0 * b, b_max);
-    } else if (ihc_squared_norm(c, mu, a) < 1.0) {
+    } else if (ihc_squared_norm(p, mu, a) < 1.0) {
         b = a;
         a = fmax(a / 2.0, a_min);
     } else {
         for (int j = 0; j < j_max && j < IHC_MAX_J; j++) {
             const double middle = (a + b) / 2.0;
-            if (ihc_squared_norm(c, mu, middle) < 1.0) {
+            if (ihc_squared_norm(p, mu, middle) < 1.0) {
                 b = middle;
             } else {
                 a = middle;
@@ -156,11 +264,14 @@ static void chain_gains(const double kz[N], double mu, double r, double gains[N]
     }
 }
 
-double ihc_law_homogeneous(const double k_lin[N], const double kz[N], double mu, double r, const double x[N],
-                           const double z[N])
+double ihc_law_homogeneous(const double k_lin[N], const double row[N], const double kz[N], double mu, double r,
+                           const double x[N], const double z[N])
 {
     double gains[N], change = 0.0;
     chain_gains(kz, mu, r, gains);
+    if (r > 1.0) { /* as below the gains fade, and k_lin x would cancel */
+        return dot(gains, z) - dot(row, x);
+    }
     for (int i = 0; i < N; i++) {
         change += (gains[i] - kz[i]) * z[i];
     }
@@ -169,19 +280,19 @@ double ihc_law_homogeneous(const double k_lin[N], const double kz[N], double mu,
 
 double ihc_law_semi_implicit(const double kz[N], const double row_z[N], double mu, double r, double h, const double z[N])
 {
-    double g[N], a[N], powers[N], u = 0.0;
+    double g[N], f[N], powers[N], y[N];
     chain_gains(kz, mu, r, g);
-    a[N - 1] = 0.0;
-    powers[N - 1] = 1.0;
+    f[N - 1] = z[N - 1];
+    powers[N - 1] = h;
     for (int i = N - 2; i >= 0; i--) {
-        a[i] = z[i] + h * a[i + 1];
+        f[i] = z[i] + h * f[i + 1];
         powers[i] = h * powers[i + 1];
     }
-    const double last = (z[N - 1] + h * dot(g, a)) / (1.0 - h * dot(g, powers));
+    const double v = dot(g, f) / (1.0 - dot(g, powers));
     for (int i = 0; i < N; i++) {
-        u += (g[i] - row_z[i]) * (a[i] + powers[i] * last);
+        y[i] = f[i] + powers[i] * v;
     }
-    return u;
+    return v - dot(row_z, y);
 }
 
 /* ---- Nominal model, eq. (5) in lumped numbers -------------------------------------------------------------------- */
@@ -262,8 +373,8 @@ static void alpha_beta_gains(double acceleration_noise, double resolution, doubl
 static double filter_velocity(double cutoff, double decay, double *lag, double angle)
 {
     const double velocity = cutoff * (angle - *lag);
-    *lag = decay * *lag + (1.0 - decay) * angle;
-    return velocity;
+    *lag = flushed(decay * *lag + (1.0 - decay) * angle, LEAST);
+    return flushed(velocity, LEAST);
 }
 
 /* Predict by the nominal model, correct each channel by the constant gains. */
@@ -272,10 +383,10 @@ static void observe(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     double y[4];
     predict(p, s->observed, s->voltage, p->sample_time, y);
     const double e_theta = theta - y[0], e_delta = delta - y[1];
-    s->observed[0] = y[0] + q->observer_gain[0] * e_theta;
-    s->observed[1] = y[1] + q->observer_gain[0] * e_delta;
-    s->observed[2] = y[2] + q->observer_gain[1] * e_theta;
-    s->observed[3] = y[3] + q->observer_gain[1] * e_delta;
+    s->observed[0] = flushed(y[0] + q->observer_gain[0] * e_theta, LEAST_ESTIMATE);
+    s->observed[1] = flushed(y[1] + q->observer_gain[0] * e_delta, LEAST_ESTIMATE);
+    s->observed[2] = flushed(y[2] + q->observer_gain[1] * e_theta, LEAST_ESTIMATE);
+    s->observed[3] = flushed(y[3] + q->observer_gain[1] * e_delta, LEAST_ESTIMATE);
 }
 
 /* The same with disturbance and bias as states and the gain M. */
@@ -293,10 +404,10 @@ static void kalman_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s
         return;
     }
     for (int i = 0; i < 4; i++) {
-        s->observed[i] = y[i] + corrections[i];
+        s->observed[i] = flushed(y[i] + corrections[i], LEAST_ESTIMATE);
     }
-    s->disturbance += corrections[4];
-    s->bias = bias + corrections[5];
+    s->disturbance = flushed(s->disturbance + corrections[4], LEAST_ESTIMATE);
+    s->bias = flushed(bias + corrections[5], LEAST_ESTIMATE);
 }
 
 /* ---- Preparation ------------------------------------------------------------------------------------------------- */
@@ -408,7 +519,7 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
         && fabs(p->kalman_sample_time - p->sample_time) > 1e-9 * p->sample_time) {
         return IHC_KALMAN_TIME;
     }
-    q->decay = exp(-p->velocity_filter_cutoff * p->sample_time);
+    q->decay = flushed(exp(-p->velocity_filter_cutoff * p->sample_time), LEAST);
     q->bias_decay = exp(-BIAS_DECAY * p->sample_time);
     alpha_beta_gains(p->observer_acceleration_noise, p->observer_resolution, p->sample_time, q->observer_gain);
     return IHC_OK;
@@ -431,7 +542,7 @@ static void observed_state(const ihc_state *s, double x[N])
 
 static void first_estimate(const ihc_params *p, const ihc_inputs *u, double x[N])
 {
-    const int measured = p->velocity_source == IHC_VELOCITY_INPUT;
+    const int measured = p->velocity_source == IHC_VELOCITY_INPUTS;
     x[0] = u->theta;
     x[1] = wrap(u->delta);
     x[2] = measured ? u->theta_dot : 0.0;
@@ -468,7 +579,7 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
     const double delta = unwrap(s, u->delta);
     x[0] = u->theta;
     x[1] = wrap(delta);
-    if (p->velocity_source == IHC_VELOCITY_INPUT) {
+    if (p->velocity_source == IHC_VELOCITY_INPUTS) {
         x[2] = u->theta_dot;
         x[3] = u->delta_dot;
     } else if (p->velocity_source == IHC_VELOCITY_KALMAN) {
@@ -521,28 +632,48 @@ static double swing_up_voltage(const ihc_params *p, const double x[N])
     return voltage_for(p, x[1], x[2], x[3], wanted);
 }
 
-static void chain_state(const ihc_params *p, const ihc_prepared *q, const double x[N], double z[N],
-                        double c[IHC_COEFFICIENTS])
+/* A state as the norm and the homogeneous law take it: x = 2^-shift times the state, z = Phi x. */
+typedef struct {
+    int shift;
+    double x[N], z[N];
+    ihc_polynomial polynomial;
+} chain_state;
+
+static int shift_of(const double x[N])
 {
+    double size = 0.0;
     for (int i = 0; i < N; i++) {
-        z[i] = dot(p->Phi[i], x);
+        size = fmax(size, fabs(x[i]));
     }
-    ihc_norm_polynomial(q->Pz, z, c);
+    return size > LARGE ? SHIFT : size > 0.0 && size < SMALL ? -SHIFT : 0;
 }
 
-static double norm_in_law(const ihc_params *p, ihc_state *s, const double c[IHC_COEFFICIENTS])
+static void to_chain_state(const ihc_params *p, const ihc_prepared *q, const double x[N], chain_state *chain)
+{
+    chain->shift = shift_of(x);
+    const double factor = chain->shift == 0 ? 1.0 : chain->shift > 0 ? SMALL : LARGE;
+    for (int i = 0; i < N; i++) {
+        chain->x[i] = x[i] * factor;
+    }
+    for (int i = 0; i < N; i++) {
+        chain->z[i] = dot(p->Phi[i], chain->x);
+    }
+    ihc_norm_polynomial(q->Pz, chain->z, p->mu, chain->shift, &chain->polynomial);
+}
+
+static double norm_in_law(const ihc_params *p, ihc_state *s, const ihc_polynomial *polynomial)
 {
     if (p->norm_solver == IHC_NORM_EXACT) {
         return isnan(s->norm) ? s->norm : clamp(s->norm, p->a_min, p->b_max);
     }
     s->interval[0] = clamp(s->interval[0], p->a_min, p->b_max);
     s->interval[1] = clamp(s->interval[1], p->a_min, p->b_max);
-    ihc_bisection_update(c, p->mu, s->interval, p->a_min, p->b_max, p->j_max);
+    ihc_bisection_update(polynomial, p->mu, s->interval, p->a_min, p->b_max, p->j_max);
     return s->interval[1];
 }
 
 static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const double x[N],
-                                  const double z[N], const double c[IHC_COEFFICIENTS])
+                                  const chain_state *chain)
 {
     if (p->law == IHC_LAW_LC) {
         return ihc_law_linear(p->k_lin, x);
@@ -550,11 +681,11 @@ static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ih
     if (p->law == IHC_LAW_SMC) {
         return ihc_law_sliding_mode(p->smc_c, p->smc_k, p->smc_rho, x);
     }
-    const double r = s->norm_used = norm_in_law(p, s, c);
-    if (p->discretization == IHC_SEMI_IMPLICIT) {
-        return ihc_law_semi_implicit(q->kz, q->row_z, p->mu, r, p->sample_time, z);
-    }
-    return ihc_law_homogeneous(p->k_lin, q->kz, p->mu, r, x, z);
+    const double r = s->norm_used = norm_in_law(p, s, &chain->polynomial);
+    const double u = p->discretization == IHC_SEMI_IMPLICIT
+        ? ihc_law_semi_implicit(q->kz, q->row_z, p->mu, r, p->sample_time, chain->z)
+        : ihc_law_homogeneous(p->k_lin, p->row, q->kz, p->mu, r, chain->x, chain->z);
+    return chain->shift == 0 ? u : clamp(u, -MOST, MOST) * (chain->shift > 0 ? LARGE : SMALL);
 }
 
 static ihc_status fail(ihc_state *s, int32_t fault)
@@ -578,7 +709,8 @@ static int32_t bad_inputs(const ihc_inputs *u)
 
 static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const ihc_inputs *u)
 {
-    double x[N], z[N], c[IHC_COEFFICIENTS], command = 0.0;
+    double x[N], command = 0.0;
+    chain_state chain;
     const int32_t bad = bad_inputs(u);
     if (bad) {
         s->bad_inputs = s->mode == IHC_FAULT ? s->bad_inputs : bad;
@@ -587,29 +719,31 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     if (s->mode == IHC_FAULT) {
         return IHC_OK;
     }
+    const ihc_inputs measured = {flushed(u->theta, LEAST), flushed(u->delta, LEAST), flushed(u->theta_dot, LEAST),
+                                 flushed(u->delta_dot, LEAST)};
     if (s->primed) {
-        estimate(p, q, s, u, x);
+        estimate(p, q, s, &measured, x);
     } else {
-        prime(p, s, u, x);
+        prime(p, s, &measured, x);
     }
     if (!isfinite(x[0] + x[1] + x[2] + x[3])) {
         return fail(s, IHC_FAULT_CONTROL);
     }
-    chain_state(p, q, x, z, c);
-    s->norm = ihc_homogeneous_norm(c, p->mu, s->norm);
+    to_chain_state(p, q, x, &chain);
+    s->norm = ihc_homogeneous_norm(&chain.polynomial, p->mu, s->norm);
     const int32_t earlier = s->mode;
-    s->mode = next_mode(p, earlier, ihc_squared_norm(c, p->mu, 1.0), x[1], x[3]);
+    s->mode = next_mode(p, earlier, ihc_squared_norm(&chain.polynomial, p->mu, 1.0), x[1], x[3]);
     if (s->mode == IHC_STABILIZING && earlier != IHC_STABILIZING) {
         s->interval[0] = p->a_min;
         s->interval[1] = p->b_max;
         if (p->velocity_source == IHC_VELOCITY_FILTER) {
-            x[0] = u->theta;
-            x[1] = wrap(u->delta);
+            x[0] = measured.theta;
+            x[1] = wrap(measured.delta);
             x[2] = s->theta_dot;
             x[3] = s->delta_dot;
         }
-        chain_state(p, q, x, z, c);
-        s->norm = ihc_homogeneous_norm(c, p->mu, s->norm);
+        to_chain_state(p, q, x, &chain);
+        s->norm = ihc_homogeneous_norm(&chain.polynomial, p->mu, s->norm);
     }
     s->theta_dot = x[2];
     s->delta_dot = x[3];
@@ -617,7 +751,7 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     if (s->mode == IHC_SWING_UP) {
         command = swing_up_voltage(p, x);
     } else if (s->mode == IHC_STABILIZING) {
-        command = stabilizing_voltage(p, q, s, x, z, c);
+        command = stabilizing_voltage(p, q, s, x, &chain);
         if (p->compensate_disturbance) {
             command -= s->disturbance;
         }
@@ -640,29 +774,45 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     s->interval[0] = p->a_min;
     s->interval[1] = p->b_max;
     if (!bad_inputs(u)) {
-        double x[N], z[N], c[IHC_COEFFICIENTS];
+        double x[N];
+        chain_state chain;
         first_estimate(p, u, x);
-        chain_state(p, q, x, z, c);
-        s->norm = ihc_homogeneous_norm(c, p->mu, 1.0);
+        to_chain_state(p, q, x, &chain);
+        s->norm = ihc_homogeneous_norm(&chain.polynomial, p->mu, 1.0);
     }
+}
+
+/* Whether one of the two times is a multiple of the other. */
+static ihc_status check_step(double sample_time, double step)
+{
+    const double ratio = step > sample_time ? step / sample_time : sample_time / step;
+    if (step > sample_time && ratio > (double)IHC_MAX_SAMPLES + 0.5) {
+        return IHC_TOO_MANY_SAMPLES;
+    }
+    return fabs(ratio - nearbyint(ratio)) <= 1e-6 * ratio ? IHC_OK : IHC_STEP_NOT_MULTIPLE; /* also for NaN */
 }
 
 ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step,
                     const ihc_inputs *u)
 {
-    const double ratio = p->sample_time / step;
-    if (ratio < 1.0 - 1e-6 || fabs(ratio - nearbyint(ratio)) > 1e-6 * ratio) {
-        return IHC_STEP_NOT_DIVISOR;
+    const double samples = step / p->sample_time;
+    ihc_status status = check_step(p->sample_time, step);
+    if (status != IHC_OK) {
+        return status;
     }
-    const double index = floor((time - s->start_time) / p->sample_time + 0.5 * step / p->sample_time);
-    if (index < (double)s->next_sample) {
-        return IHC_OK;
+    const double beyond = samples > 1.0 ? samples - 0.5 : 0.5 * samples;
+    const double last = floor((time - s->start_time) / p->sample_time + beyond);
+    while ((double)s->next_sample <= last) {
+        s->next_sample++;
+        if (sample(p, q, s, u) != IHC_OK) {
+            status = IHC_NEW_FAULT;
+        }
     }
-    if (index > (double)s->next_sample) {
-        return IHC_SAMPLE_MISSED;
+    if (status == IHC_OK && samples > 1.5 && !s->held) {
+        s->held = 1;
+        return IHC_INPUTS_HELD;
     }
-    s->next_sample++;
-    return sample(p, q, s, u);
+    return status;
 }
 
 void ihc_get_outputs(const ihc_state *s, ihc_outputs *y)

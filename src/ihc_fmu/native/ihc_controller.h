@@ -16,11 +16,12 @@
 #include <stdint.h>
 
 enum { IHC_ORDER = 4, IHC_COEFFICIENTS = 2 * IHC_ORDER - 1, IHC_NEWTON_LIMIT = 100, IHC_MAX_J = 60, IHC_BISECTIONS = 100 };
+enum { IHC_MAX_SAMPLES = 1000000 }; /* in one communication step */
 
 enum { IHC_LAW_LC = 1, IHC_LAW_SMC, IHC_LAW_IHC };                       /* law */
 enum { IHC_NORM_ALGORITHM1 = 1, IHC_NORM_EXACT };                        /* norm_solver */
 enum { IHC_EXPLICIT = 1, IHC_SEMI_IMPLICIT };                            /* discretization */
-enum { IHC_VELOCITY_FILTER = 1, IHC_VELOCITY_INPUT, IHC_VELOCITY_KALMAN }; /* velocity_source */
+enum { IHC_VELOCITY_FILTER = 1, IHC_VELOCITY_INPUTS, IHC_VELOCITY_KALMAN }; /* velocity_source */
 enum { IHC_IDLE = 1, IHC_SWING_UP, IHC_STABILIZING, IHC_FAULT };         /* mode */
 enum { IHC_FAULT_NONE = 1, IHC_FAULT_INPUT, IHC_FAULT_CONTROL };         /* fault */
 
@@ -31,8 +32,9 @@ typedef enum {
     IHC_LIMITS,               /* a_min exceeds b_max */
     IHC_ANGLES,               /* capture_angle exceeds fall_back_angle */
     IHC_KALMAN_TIME,          /* the Kalman filter's gain is for another sample time */
-    IHC_STEP_NOT_DIVISOR,     /* sample_time is no multiple of the communication step */
-    IHC_SAMPLE_MISSED         /* a sample instant was stepped over */
+    IHC_INPUTS_HELD,          /* the step worked; it is the first that held its inputs over several samples */
+    IHC_STEP_NOT_MULTIPLE,    /* neither sample_time nor the communication step is a multiple of the other */
+    IHC_TOO_MANY_SAMPLES      /* the communication step is more than IHC_MAX_SAMPLES samples */
 } ihc_status;
 
 /* Parameters, named as in the FMU. */
@@ -81,7 +83,7 @@ typedef struct {
 
 typedef struct {
     double theta, delta;         /* measured angles [rad] */
-    double theta_dot, delta_dot; /* [rad/s], used with velocity_source input */
+    double theta_dot, delta_dot; /* [rad/s], used with velocity_source inputs */
 } ihc_inputs;
 
 typedef struct {
@@ -127,6 +129,7 @@ typedef struct {
     int32_t mode;
     int32_t fault;
     int32_t bad_inputs;    /* bit i: input i was not finite when the fault came */
+    int64_t held;          /* whether it has been said that a step held its inputs over several samples */
 } ihc_state;
 
 /* Compute what follows from the parameters; refuses those that contradict each other. */
@@ -135,7 +138,7 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q);
 /* Start the sample clock at `time` [s]; with finite measurements start the estimators from rest there. */
 void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, const ihc_inputs *u);
 
-/* Sample the inputs where a sample instant falls on `time` [s]; hold the voltage otherwise. */
+/* Sample the inputs at each sample instant within `step` [s] from `time` [s] on; hold the voltage otherwise. */
 ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step,
                     const ihc_inputs *u);
 
@@ -143,23 +146,30 @@ void ihc_get_outputs(const ihc_state *s, ihc_outputs *y);
 
 /* The parts, for tests and other units. */
 
-/* c_0 ... c_{2n-2} of Remark 5's polynomial. */
-void ihc_norm_polynomial(const double Pz[IHC_ORDER][IHC_ORDER], const double z[IHC_ORDER], double c[IHC_COEFFICIENTS]);
+/* c_0 ... c_{2n-2} of Remark 5's polynomial for the state d(-exponent ln 2) z. */
+typedef struct {
+    double c[IHC_COEFFICIENTS];
+    int exponent; /* 0 unless a chain coordinate is far from 1: squares leave the range of numbers before states do */
+} ihc_polynomial;
 
-/* N^2(r) = r^-2 sum c_m s^m. */
-double ihc_squared_norm(const double c[IHC_COEFFICIENTS], double mu, double r);
+/* The polynomial of the state 2^shift z. */
+void ihc_norm_polynomial(const double Pz[IHC_ORDER][IHC_ORDER], const double z[IHC_ORDER], double mu, int shift,
+                         ihc_polynomial *p);
+
+/* N^2(r) = r^-2 sum c_m s^m; 0 or infinite far from the norm of a scaled state. */
+double ihc_squared_norm(const ihc_polynomial *p, double mu, double r);
 
 /* The root of N(r) = 1 by a bracketed Newton method of at most IHC_NEWTON_LIMIT iterations. */
-double ihc_homogeneous_norm(const double c[IHC_COEFFICIENTS], double mu, double guess);
+double ihc_homogeneous_norm(const ihc_polynomial *p, double mu, double guess);
 
 /* One run of Algorithm 1 (corrected) on the interval [a, b]; j_max + 2 evaluations of the polynomial at most. */
-void ihc_bisection_update(const double c[IHC_COEFFICIENTS], double mu, double interval[2], double a_min, double b_max,
+void ihc_bisection_update(const ihc_polynomial *p, double mu, double interval[2], double a_min, double b_max,
                           int j_max);
 
 double ihc_law_linear(const double k_lin[IHC_ORDER], const double x[IHC_ORDER]);
 double ihc_law_sliding_mode(const double c[IHC_ORDER], const double k[IHC_ORDER], double rho, const double x[IHC_ORDER]);
-double ihc_law_homogeneous(const double k_lin[IHC_ORDER], const double kz[IHC_ORDER], double mu, double r,
-                           const double x[IHC_ORDER], const double z[IHC_ORDER]);
+double ihc_law_homogeneous(const double k_lin[IHC_ORDER], const double row[IHC_ORDER], const double kz[IHC_ORDER],
+                           double mu, double r, const double x[IHC_ORDER], const double z[IHC_ORDER]);
 double ihc_law_semi_implicit(const double kz[IHC_ORDER], const double row_z[IHC_ORDER], double mu, double r, double h,
                              const double z[IHC_ORDER]);
 

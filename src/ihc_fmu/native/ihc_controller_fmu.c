@@ -2,7 +2,11 @@
 #include <stdio.h>
 
 #include "fmu_unit.h"
+
+FMU_PRIVATE_BEGIN
 #include "ihc_controller.h"
+FMU_PRIVATE_END
+
 #include "ihc_controller_table.h" /* generated: VARIABLES and what they count */
 
 static int prepare(const void *parameters, void *prepared)
@@ -74,14 +78,19 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
                  "sample_time = %g s",
                  p->kalman_sample_time, p->sample_time);
         break;
-    case IHC_STEP_NOT_DIVISOR:
+    case IHC_INPUTS_HELD:
+        snprintf(text, size, "a communication step of %g s holds the inputs over several samples of sample_time = %g s",
+                 length, p->sample_time);
+        return FMU_WARNING;
+    case IHC_STEP_NOT_MULTIPLE:
         snprintf(text, size,
-                 "sample_time must be a multiple of the communication step, found sample_time = %g s and a communication "
-                 "step of %g s",
+                 "sample_time must be a multiple of the communication step, or the step of it, found sample_time = %g s and "
+                 "a communication step of %g s",
                  p->sample_time, length);
         break;
     default:
-        snprintf(text, size, "sample %ld of sample_time %g s was stepped over", (long)s->next_sample, p->sample_time);
+        snprintf(text, size, "a communication step must not exceed %d samples of sample_time = %g s, found %g s",
+                 (int)IHC_MAX_SAMPLES, p->sample_time, length);
     }
     return FMU_REFUSED;
 }

@@ -2,7 +2,11 @@
 #include <stdio.h>
 
 #include "fmu_unit.h"
+
+FMU_PRIVATE_BEGIN
 #include "qube_servo2.h"
+FMU_PRIVATE_END
+
 #include "qube_servo2_table.h" /* generated: VARIABLES and what they count */
 
 static int prepare(const void *parameters, void *prepared)

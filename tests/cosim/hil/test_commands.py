@@ -1,4 +1,4 @@
-"""The commands for hardware, each in a process of its own: runs, refusals, stops, a killed loop, and what a log is for."""
+"""The commands for hardware: runs, refusals, stops, a killed loop, and what a log is for."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ import re
 import shutil
 import signal
 import socket
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim.cli import main
 from cosim.errors import UserError
 from cosim.hil.log import LiveLog
 from cosim.hil.simulated import HOLD
 from cosim.results import Result
-from tests.cosim.command import started
+from tests.cosim.command import ended, files, finished, sentence, started
 
 STAND_IN = Path(__file__).parent / "stand_in"
 PERIOD = 1e-3
@@ -33,23 +30,18 @@ PATIENCE = 120
 without_sdk = pytest.mark.skipif(importlib.util.find_spec("quanser") is not None, reason="Quanser's package is here")
 
 
-def finished(process):
-    """Return a process's exit code, output and error output."""
-    try:
-        out, err = process.communicate(timeout=PATIENCE)
-    finally:
-        process.kill()
-    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
-
-
-def qube_ihc(*args, cwd, **options):
-    return finished(started(*map(str, args), cwd=cwd, **options))
-
-
 @pytest.fixture
 def hil(tmp_path, fmus):
     """Run `hil` in a temporary folder, with the log in `out`."""
-    return lambda *args, **options: qube_ihc("hil", "--fmus", fmus, "-o", "out", *args, cwd=tmp_path, **options)
+    return lambda *args: ended("hil", "--fmus", fmus, "-o", "out", *args, cwd=tmp_path)
+
+
+@pytest.fixture
+def process(tmp_path, fmus):
+    """Run `hil` in a process of its own; otherwise as `hil`."""
+    return lambda *args, **options: finished(
+        started("hil", "--fmus", fmus, "-o", "out", *args, cwd=tmp_path, **options)
+    )
 
 
 def with_stand_in(monkeypatch, folder, **changes):
@@ -72,21 +64,9 @@ def run(tmp_path_factory, fmus):
     """A run of 3 s in lockstep, for what reads logs; not to be changed."""
     folder = tmp_path_factory.mktemp("run")
     options = ("--lockstep", "--duration", "3", "-o", folder)
-    done = qube_ihc("hil", "--fmus", fmus, *options, cwd=folder)
+    done = ended("hil", "--fmus", fmus, *options, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder / "run.csv"
-
-
-def files(folder):
-    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
-
-
-def sentence(done, code=2):
-    """Return the one sentence of a refusal."""
-    lines = done.stderr.strip().splitlines()
-    assert (done.returncode, len(lines)) == (code, 1), done.stderr
-    assert lines[0].startswith("error: ")
-    return lines[0].removeprefix("error: ")
 
 
 def about(path):
@@ -137,9 +117,9 @@ def test_earlier_run_stays(tmp_path, hil, run):
     assert second.tolist() == first[:201].tolist()
 
 
-def test_run_on_the_stand_in(tmp_path, hil, on_stand_in):
+def test_run_on_the_stand_in(tmp_path, process, on_stand_in):
     record = on_stand_in()
-    done = hil("--device", "qube", "--duration", "0.5")
+    done = process("--device", "qube", "--duration", "0.5")
     assert done.returncode == 0, done.stderr
     assert "while stopping" not in done.stdout
     assert len(Result.load(tmp_path / "out" / "run.csv").time) == 501
@@ -167,7 +147,7 @@ def unplugged(tmp_path_factory, fmus):
     options = ("--device", "qube", "--no-sign-test", "--duration", "2", "-o", folder)
     with pytest.MonkeyPatch.context() as patch:
         with_stand_in(patch, folder, unplugged_at=0.8)
-        return qube_ihc("hil", "--fmus", fmus, *options, cwd=folder), folder / "run.csv"
+        return finished(started("hil", "--fmus", fmus, *options, cwd=folder)), folder / "run.csv"
 
 
 def test_unplugged_board_ends_the_run(unplugged):
@@ -182,15 +162,15 @@ def test_stop_that_failed_is_not_called_one_at_0_volts(unplugged):
     assert "stopped at 0 V" not in unplugged[0].stdout
 
 
-def test_stop_that_failed_is_no_success(hil, on_stand_in):
+def test_stop_that_failed_is_no_success(process, on_stand_in):
     third = 3  # off at the opening, on, off at the stop
     on_stand_in(failures={"write": (1, -843, True), "write_digital": (third, -843, True)})
-    done = hil("--device", "qube", "--no-sign-test", "--duration", "0.1")
+    done = process("--device", "qube", "--no-sign-test", "--duration", "0.1")
     assert "while stopping: switching the amplifier off" in done.stdout
     assert done.returncode == 1
 
 
-# --- refusals; most without a process, since each takes a second only to start
+# --- refusals
 
 
 @pytest.mark.parametrize(
@@ -205,14 +185,10 @@ def test_stop_that_failed_is_no_success(hil, on_stand_in):
         (("--device", "udp://127.0.0.1"), "no device listens at 127.0.0.1:18950; start one with `qube-ihc device"),
     ],
 )
-def test_refusals(tmp_path, fmus, monkeypatch, capsys, args, said):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["qube-ihc", "hil", "--fmus", str(fmus), "-o", "out", *args])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    shown = capsys.readouterr()
-    assert said in sentence(subprocess.CompletedProcess(args, int(ended.value.code or 0), shown.out, shown.err))
-    assert shown.out == ""
+def test_refusals(tmp_path, hil, args, said):
+    done = hil(*args)
+    assert said in sentence(done)
+    assert done.stdout == ""
     assert not (tmp_path / "out").exists() or files(tmp_path / "out") == []
 
 
@@ -231,15 +207,15 @@ def test_board_without_the_sdk(tmp_path, hil):
         ({"identifiers": ()}, "no board was found; plug in its USB cable"),
     ],
 )
-def test_board_that_cannot_be_had(tmp_path, hil, on_stand_in, changes, said):
+def test_board_that_cannot_be_had(tmp_path, process, on_stand_in, changes, said):
     on_stand_in(**changes)
-    assert said in sentence(hil("--device", "qube"))
+    assert said in sentence(process("--device", "qube"))
     assert files(tmp_path / "out") == []
 
 
-def test_fault_at_the_opening_is_one_sentence(hil, on_stand_in):
+def test_fault_at_the_opening_is_one_sentence(process, on_stand_in):
     on_stand_in(digital_inputs=((0.0, 0, 1),))
-    done = hil("--device", "qube")
+    done = process("--device", "qube")
     assert "the amplifier reports a fault" in done.stderr
     assert "Traceback" not in done.stderr
 
@@ -253,13 +229,13 @@ def test_silent_address_is_one_sentence(hil):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="limits the size of files by the operating system")
-def test_log_without_room_does_not_spoil_the_folder(tmp_path, hil):
+def test_log_without_room_does_not_spoil_the_folder(tmp_path, process):
     import resource  # of POSIX
 
     def small():
         resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
 
-    sentence(hil("--lockstep", "--duration", "10", preexec_fn=small))
+    sentence(process("--lockstep", "--duration", "10", preexec_fn=small))
     assert files(tmp_path / "out") == []
 
 
@@ -267,7 +243,7 @@ def test_device_refuses_a_taken_port(tmp_path, fmus):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
-        done = qube_ihc("device", "--fmus", fmus, "--listen", f"127.0.0.1:{port}", cwd=tmp_path)
+        done = ended("device", "--fmus", fmus, "--listen", f"127.0.0.1:{port}", cwd=tmp_path)
     assert sentence(done).startswith(f"cannot listen at 127.0.0.1:{port}: ")
 
 
@@ -337,7 +313,7 @@ def test_killed_loop(tmp_path, fmus, device):
     assert files(folder) == ["run.rows"]
     time.sleep(1.5)  # then the device has ended the session
     again = ("--device", f"udp://127.0.0.1:{port}", "--lockstep", "--duration", "0.2", "-o", folder)
-    done = qube_ihc("hil", "--fmus", fmus, *again, cwd=tmp_path)
+    done = ended("hil", "--fmus", fmus, *again, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     process.send_signal(signal.SIGINT)
     assert finished(process).returncode == 130
@@ -379,9 +355,9 @@ def test_check_of_the_simulated_device(tmp_path, hil):
     assert files(tmp_path) == []
 
 
-def test_check_of_the_stand_in(hil, on_stand_in):
+def test_check_of_the_stand_in(process, on_stand_in):
     record = on_stand_in()
-    done = hil("--check", "--device", "qube", "--no-real-time")
+    done = process("--check", "--device", "qube", "--no-real-time")
     found = findings(done)
     assert done.returncode == 0, done.stdout
     assert {word for word, _ in found} == {"ok"}
@@ -413,7 +389,7 @@ def test_check_without_the_sdk(hil):
 
 
 def test_replay_is_exact(tmp_path, fmus, run):
-    done = qube_ihc("replay", run, "--fmus", fmus, cwd=tmp_path)
+    done = ended("replay", run, "--fmus", fmus, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith("exact: 3000 samples replayed")
 
@@ -429,13 +405,13 @@ def test_replay_finds_one_digit(tmp_path, fmus, run):
     with changed.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([head, *rows])
     changed.with_suffix(".json").write_bytes(run.with_suffix(".json").read_bytes())
-    done = qube_ihc("replay", changed, "--fmus", fmus, cwd=tmp_path)
+    done = ended("replay", changed, "--fmus", fmus, cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert re.match(rf"not exact: 1 of 300\d rows differ, the first at {row / 1000:g} s: voltage is ", done.stdout)
 
 
 def test_overlay_writes_its_pictures(tmp_path, fmus, run):
-    done = qube_ihc("overlay", run, "--fmus", fmus, "--begin", "2", "-o", "over", cwd=tmp_path)
+    done = ended("overlay", run, "--fmus", fmus, "--begin", "2", "-o", "over", cwd=tmp_path)
     assert (done.returncode, done.stderr.strip()) == (0, "")
     written = files(tmp_path / "over")
     assert {"simulation.csv", "simulation.json", "angles.png", "voltage.png"} <= set(written)
@@ -443,12 +419,12 @@ def test_overlay_writes_its_pictures(tmp_path, fmus, run):
 
 
 def test_identify_writes_parameters(tmp_path, run):
-    done = qube_ihc("identify", run, "--fit", "D_p", "-o", "found.toml", cwd=tmp_path)
+    done = ended("identify", run, "--fit", "D_p", "-o", "found.toml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert files(tmp_path) == ["found.toml"]
     assert "D_p" in (tmp_path / "found.toml").read_text(encoding="utf-8")
 
 
 def test_log_that_is_missing(tmp_path):
-    assert sentence(qube_ihc("replay", "nothing.csv", cwd=tmp_path)) == "result file nothing.csv does not exist"
+    assert sentence(ended("replay", "nothing.csv", cwd=tmp_path)) == "result file nothing.csv does not exist"
     assert files(tmp_path) == []

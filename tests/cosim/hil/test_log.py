@@ -106,9 +106,9 @@ def test_rows_come_back_exactly(made):
     layout, about, rows = read(made(5))
     assert layout == LAYOUT
     assert about == ABOUT
-    assert rows.dtype.names == (*LAYOUT.names, "number")
+    assert rows.dtype.names == (*LAYOUT.names, "number", "crc")
     for k, row in enumerate(rows):
-        assert list(row.tolist()) == [*values(k), k + 1]
+        assert list(row.tolist())[:-1] == [*values(k), k + 1]
 
 
 def test_the_header_says_what_the_columns_are(made):
@@ -151,10 +151,26 @@ def test_beyond_the_capacity_what_is_there_stays(made):
 
 def test_an_unfinished_row_is_not_counted(made):
     log = made(4)
-    at = log.begin + 2 * LAYOUT.row.size
-    log.buffer[at + LAYOUT.row.size - 8 : at + LAYOUT.row.size] = bytes(8)  # the third row without its number
-    _, _, rows = read(log)
-    assert rows["tick"].tolist() == [0, 1]
+    end = log.begin + 4 * LAYOUT.row.size
+    for missing in (4, 8, 20):  # the checksum, the number, some of the values
+        log.buffer[end - missing : end] = bytes(missing)
+        _, _, rows = read(log)
+        assert rows["tick"].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("at", [0, 8, LAYOUT.row.size - 8, LAYOUT.row.size - 1])
+def test_a_changed_byte_in_a_row_before_others_is_refused(made, at):
+    log = made(4)
+    log.buffer[log.begin + LAYOUT.row.size + at] ^= 1
+    with pytest.raises(UserError, match=r"damaged: row 2 does not fit its checksum, later ones do$"):
+        read(log)
+
+
+def test_a_changed_digit_in_the_header_is_refused(made):
+    content = made().path.read_bytes()
+    assert content.count(b'"step": 0.001') == 1
+    with pytest.raises(UserError, match="damaged: its header does not fit its checksum"):
+        rows_of(content.replace(b'"step": 0.001', b'"step": 0.002'), Path("run.rows"))
 
 
 @pytest.mark.parametrize("cut", [1, 8, 9, 100])

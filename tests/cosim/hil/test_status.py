@@ -47,8 +47,8 @@ def log(tmp_path):
     log.discard()
 
 
-def line(first=0, rows=1501, **changes):
-    return status.line({**ROW, **changes}, first, rows, 1e-3)
+def line(first=0, rows=1501, width=500, **changes):
+    return status.fitted(status.parts({**ROW, **changes}, first, rows, 1e-3), width)
 
 
 def test_the_line_says_it_all():
@@ -77,6 +77,23 @@ def test_what_the_line_says(changes, said):
     assert said in line(**changes)
 
 
+@pytest.mark.parametrize(
+    ("width", "said"),
+    [
+        (79, "1.50 s  stabilizing  θ  +90.0°  δ   +0.0°   -2.50 V  late   23 us  missed 12"),
+        (39, "1.50 s  stabilizing  missed 12"),
+        (12, "1.50 s"),
+        (4, "1.5…"),
+    ],
+)
+def test_the_line_fits_the_terminal_and_keeps_what_matters_most(width, said):
+    assert line(rows=1489, width=width) == said
+    fault = line(rows=1489, width=width, digital=8)
+    assert len(fault) <= width
+    assert (fault[:-1] if fault.endswith("…") else fault) in line(rows=1489, digital=8)
+    assert width < 30 or fault.startswith(status.digital_reason(8)[:20])
+
+
 def test_a_stall_alone_is_no_fault_and_another_clock_no_lateness():
     assert line(digital=2) == line()
     assert "late" not in line(due=0)
@@ -84,7 +101,7 @@ def test_a_stall_alone_is_no_fault_and_another_clock_no_lateness():
 
 def test_a_controller_without_a_mode_has_a_line():
     row = {k: v for k, v in ROW.items() if k != "controller.mode"}
-    assert "running" in status.line(row, 0, 1501, 1e-3)
+    assert "running" in status.fitted(status.parts(row, 0, 1501, 1e-3), 500)
 
 
 def test_it_prints_the_newest_row_until_the_writer_closes(log, calm, capsys):

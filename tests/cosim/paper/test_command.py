@@ -3,27 +3,15 @@
 import json
 import re
 import signal
-import subprocess
 import time
 
 import pytest
 
-from cosim.campaign import JOURNAL_FORMAT
-from tests.cosim.command import started
-
-
-def finished(*args, cwd):
-    process = started("paper", *args, cwd=cwd)
-    out, err = process.communicate(timeout=120)
-    return subprocess.CompletedProcess(args, process.returncode, out, err)
-
-
-def files(folder):
-    return sorted(str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file())
+from tests.cosim.command import ended, files, journal_rows, started
 
 
 def test_help_names_every_option(tmp_path):
-    done = finished("--help", cwd=tmp_path)
+    done = ended("paper", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for option in ("--quick", "--draws", "--workers", "--output", "-o", "--fmus"):
         assert re.search(rf"(?<![\w-]){option}\b", done.stdout), option
@@ -40,7 +28,7 @@ def test_help_names_every_option(tmp_path):
     ],
 )
 def test_a_wrong_option_ends_with_code_2_and_is_named(tmp_path, arguments, named):
-    done = finished(*arguments, cwd=tmp_path)
+    done = ended("paper", *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert named in done.stderr
     assert "Traceback" not in done.stderr
@@ -51,7 +39,7 @@ def test_a_wrong_option_ends_with_code_2_and_is_named(tmp_path, arguments, named
 def without_fmus(tmp_path_factory):
     """What the command says where there are no FMUs, and the files that it leaves."""
     folder = tmp_path_factory.mktemp("without FMUs")
-    return finished("--quick", "--fmus", "nowhere", cwd=folder), files(folder)
+    return ended("paper", "--quick", "--fmus", "nowhere", cwd=folder), files(folder)
 
 
 def test_missing_fmus_are_one_sentence(without_fmus):
@@ -65,21 +53,13 @@ def test_missing_fmus_leave_nothing_behind(without_fmus):
     assert without_fmus[1] == []
 
 
-def lines_of(path):
-    """Return the finished lines of a journal."""
-    try:
-        return path.read_text(encoding="utf-8").splitlines(keepends=True)
-    except FileNotFoundError:
-        return []
-
-
 def interrupted(journal, more, *args, cwd):
-    """Start the command, interrupt it when the journal has `more` lines more than before; return what it said."""
-    before = len(lines_of(journal))
+    """Start the command, interrupt it when the journal has `more` runs more than before; return what it said."""
+    before = len(journal_rows(journal))
     process = started("paper", *args, cwd=cwd)
     try:
         end = time.monotonic() + 60.0
-        while len(lines_of(journal)) < before + more:
+        while len(journal_rows(journal)) < before + more:
             assert process.poll() is None, process.stderr.read() if process.stderr else ""
             assert time.monotonic() < end
             time.sleep(0.02)
@@ -92,22 +72,18 @@ def interrupted(journal, more, *args, cwd):
 
 def test_ctrl_c_ends_with_code_130_keeps_what_is_finished_and_the_next_start_goes_on(tmp_path):
     """Finished runs stay as they were and none is run again, though FMUs are exported anew; nothing is half written."""
-    journal = tmp_path / "out" / "runs.jsonl"
+    journal = tmp_path / "out" / "runs.sqlite"
     expected = ["fmus/IhcController.fmu", "fmus/QubeServo2.fmu", "fmus/QubeWithController.ssp"]
-    expected += ["runs.jsonl", "scenarios/default.json", "scenarios/paper.json"]
-    kept = []
+    expected += ["runs.sqlite", "scenarios/default.json", "scenarios/paper.json"]
+    before = []
     for more in (4, 6):
         code, out, err = interrupted(journal, more, "--quick", "--draws", "3", "-o", "out", cwd=tmp_path)
         assert code == 130, err
         assert "Traceback" not in out + err
         assert "finished runs are kept, and the same command goes on from there" in out + err
-        lines = lines_of(journal)
-        assert lines[0] == JOURNAL_FORMAT + "\n"
-        assert lines[: len(kept)] == kept
-        assert len(lines) >= len(kept) + more
-        assert all(line.endswith("\n") for line in lines)
-        digests = [json.loads(line)[0] for line in lines[1:]]
-        assert len(set(digests)) == len(digests)
-        assert all(json.loads(line)[1]["integral_q2"] > 0.0 for line in lines[1:])
         assert files(tmp_path / "out") == expected
-        kept = lines
+        rows = journal_rows(journal)
+        assert rows[: len(before)] == before
+        assert len(rows) >= len(before) + more
+        assert all(json.loads(numbers)["integral_q2"] > 0.0 for _, numbers in rows)
+        before = rows

@@ -27,6 +27,7 @@ from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
 from cosim.scenario import load_scenario, run_scenario
 from ihc_fmu.design import Options, inverse_design
+from tests.cosim.command import journal_rows
 
 FIGURES = [f"figure_{n}.png" for n in (3, 4, 5, 6)] + ["shares.png", "chattering.png", "swing_ups.png"]
 TABLES = [
@@ -85,7 +86,7 @@ def found(made):
 
 
 def test_all_files_are_there_and_no_other(made):
-    expected = {"report.html", "runs.csv", "runs.jsonl", *FIGURES}
+    expected = {"report.html", "runs.csv", "runs.sqlite", *FIGURES}
     expected |= {f"{name}.{suffix}" for name in TABLES for suffix in ("csv", "md")}
     designs = {f"scenarios/{name}" for name in made.study.designs}
     keys = made.study.keys()["reference"]
@@ -102,8 +103,7 @@ def test_figures_are_pictures_with_something_on_them(made):
 
 
 def test_the_journal_has_every_run_once(made):
-    _, *lines = made.files["runs.jsonl"].decode().splitlines()
-    digests = [json.loads(line)[0] for line in lines]
+    digests = [digest for digest, _ in journal_rows(made.study.folder / "runs.sqlite")]
     assert len(set(digests)) == len(digests) == sum(map(len, made.study.keys().values()))
 
 
@@ -201,11 +201,11 @@ def test_made_in_a_fresh_folder_by_one_worker_the_numbers_are_the_same(made, tmp
     files = contents(fresh.folder)
     assert files.keys() == made.files.keys()
     for name in files:
-        if name not in ("runs.jsonl", "report.html"):  # in the order in which runs finished; names the FMUs' folder
+        if name not in ("runs.sqlite", "report.html"):  # in the order in which runs finished; names the FMUs' folder
             assert files[name] == made.files[name], name
     command = re.compile(rb"<pre>qube-ihc run [^<]*</pre>")
     assert command.sub(b"", files["report.html"]) == command.sub(b"", made.files["report.html"])
-    assert sorted(files["runs.jsonl"].splitlines()) == sorted(made.files["runs.jsonl"].splitlines())
+    assert sorted(journal_rows(fresh.folder / "runs.sqlite")) == sorted(journal_rows(made.study.folder / "runs.sqlite"))
 
 
 # The page

@@ -421,16 +421,16 @@ def test_every_run_of_the_full_study_has_a_valid_scenario(study):
 def test_numbers_come_from_the_run_and_then_from_the_journal(study, tmp_path):
     key = Key("tilt", "ident", 2e-3, 0, "LC", 1)
     seen = []
-    path = tmp_path / "runs.jsonl"
+    path = tmp_path / "runs.sqlite"
     with Journal(path, PURPOSE) as journal:
         first = study.run([key], journal, lambda *counts: seen.append(counts))
     expected = numbers(run_scenario(study.scenario(key), study.fmus, study.scenarios))
     assert first == {key: pytest.approx(expected, rel=0, abs=0, nan_ok=True)}
-    lines = path.read_text(encoding="utf-8")
+    content = path.read_bytes()
     with Journal(path, PURPOSE) as journal:
         again = study.run([key], journal)
     assert again == {key: pytest.approx(expected, rel=0, abs=0, nan_ok=True)}
-    assert path.read_text(encoding="utf-8") == lines
+    assert path.read_bytes() == content
     assert seen == [(0, 1), (1, 1)]
 
 

@@ -1,0 +1,109 @@
+"""Draws of what a measurement leaves open, the same for every controller, and what can be said from them.
+
+The two encoders' sub-count offsets decide the steady state so strongly that a few random ones rank controllers by luck. They
+are taken from a Sobol set, which covers the unit square evenly with any number of points, best with a power of two.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from .scenario import Scenario, StartValue
+
+Array = np.ndarray
+
+SEED = 1
+"""Seed of the scrambling of the Sobol set."""
+
+CONFIDENCE = 0.95
+
+
+@lru_cache(maxsize=8)
+def encoder_offsets(count: int) -> tuple[tuple[float, float], ...]:
+    """Return the first `count` points of a scrambled Sobol sequence in the unit square: offsets of theta and delta.
+
+    More points begin with the same ones.
+    """
+    from scipy.stats import qmc  # noqa: PLC0415 - heavy
+
+    generator = np.random.default_rng(SEED)
+    sobol = qmc.Sobol(2, scramble=True, seed=generator)  # type: ignore[call-arg] # `rng` from SciPy 1.15 on, which takes both
+    points = sobol.random_base2(math.ceil(math.log2(count)))
+    return tuple((float(theta), float(delta)) for theta, delta in points[:count])
+
+
+def drawn(scenario: Scenario, draw: int) -> Scenario:
+    """Return the scenario of a draw, counted from 1: its encoder offsets, its seed of the noise.
+
+    What the scenario itself sets of these stays.
+    """
+    size = 1 << (draw - 1).bit_length()  # so that one set serves many draws
+    theta, delta = encoder_offsets(size)[draw - 1]
+    values: dict[str, StartValue] = {
+        "theta_encoder_offset": theta,
+        "delta_encoder_offset": delta,
+        "noise_seed": draw,
+    }
+    changes = {f"plant.start.{name}": value for name, value in values.items() if name not in scenario.plant.start}
+    return scenario.changed({**changes, "run.seed": None})
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A mean over draws and the half width of its 95 % confidence interval (Student); NaN for a single draw.
+
+    The points of a Sobol set are more even than independent ones, for which the interval is right: it is on the safe side.
+    """
+
+    value: float
+    half_width: float = math.nan
+
+    @property
+    def decided(self) -> int:
+        """The sign of the value where the interval excludes 0, otherwise 0."""
+        return int(math.copysign(1, self.value)) if abs(self.value) > self.half_width else 0
+
+
+def mean(values: Array) -> Estimate:
+    """Return the mean of `values`; NaN without any."""
+    return Estimate(float(np.mean(values)), _half_width(values)) if len(values) else Estimate(math.nan)
+
+
+def root_mean_square(values: Array) -> Estimate:
+    """Return the root mean square of `values`, its interval by the delta method from that of the mean square."""
+    square = mean(np.asarray(values) ** 2)
+    root = math.sqrt(square.value)
+    return Estimate(root, square.half_width / (2.0 * root) if root else square.half_width)
+
+
+def change(values: Array, base: Array) -> Estimate:
+    """Return mean(values) / mean(base) - 1 of pairs from the same draws, its interval by the delta method.
+
+    The pairs' differences decide the interval, so that what a draw does to both controllers cancels. NaN where the base's
+    mean is 0 or there is no pair.
+    """
+    below = float(np.mean(base)) if len(base) else 0.0
+    if below == 0.0:
+        return Estimate(math.nan)
+    ratio = float(np.mean(values)) / below
+    return Estimate(ratio - 1.0, _half_width(values - ratio * base) / abs(below))
+
+
+def rms_change(values: Array, base: Array) -> Estimate:
+    """Return RMS(values) / RMS(base) - 1 of pairs from the same draws, as `change`."""
+    squares = change(values**2, base**2)
+    ratio = math.sqrt(1.0 + squares.value)
+    return Estimate(ratio - 1.0, squares.half_width / (2.0 * ratio) if ratio else squares.half_width)
+
+
+def _half_width(values: Array) -> float:
+    from scipy.stats import t  # noqa: PLC0415 - heavy
+
+    count = len(values)
+    if count < 2:
+        return math.nan
+    return float(t.ppf(0.5 + CONFIDENCE / 2, count - 1) * np.std(values, ddof=1) / math.sqrt(count))

@@ -1,0 +1,52 @@
+"""Every test: Ctrl-C can be sent to its process, and the whole run leaves no temporary file and no process behind."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import tempfile
+from pathlib import Path
+
+import pytest
+
+FOLDER = pytest.StashKey[Path]()
+
+
+def pytest_configure(config) -> None:
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background inherits that it is ignored
+    if hasattr(config, "workerinput"):
+        return
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())  # pytest tidies its own folder
+    config.stash[FOLDER] = Path(tempfile.mkdtemp(prefix="qube-ihc-tests-"))
+    tempfile.tempdir = os.environ["TMPDIR"] = str(config.stash[FOLDER])  # of the workers and of their processes, too
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_sessionfinish(session):
+    """Fail the run, after all workers have ended, for what they left; in a process without workers this comes too early."""
+    result = yield
+    folder = session.config.stash.get(FOLDER, None)
+    if folder is None or not session.config.pluginmanager.hasplugin("dsession"):
+        return result
+    left = [path.name for path in folder.iterdir()]
+    running = using(folder)
+    shutil.rmtree(folder, ignore_errors=True)
+    if left or running:
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+        reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+        reporter.write_line(f"\nleft by the tests: temporary files {left}, processes {running}", red=True)
+    return result
+
+
+def using(folder: Path) -> list[str]:
+    """Return the command lines of the processes whose temporary folder is this one, where /proc tells."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            environment, command = ((process / name).read_bytes() for name in ("environ", "cmdline"))
+        except OSError:
+            continue  # it has ended, or is another's
+        if f"TMPDIR={folder}\0".encode() in environment and int(process.name) != os.getpid():
+            found.append(command.replace(b"\0", b" ").decode())
+    return found
