@@ -190,8 +190,8 @@ def test_logs_of_runs(tmp_path, data):
         content = data.draw(damaged(content))
     path.write_bytes(content)
     for file, rows in recover(tmp_path):
-        assert (file == path) == (rows is None)
-        if rows:
+        assert (file == path) == isinstance(rows, str)
+        if isinstance(rows, int) and rows:
             Result.load(file)
 
 
@@ -234,8 +234,9 @@ def test_a_byte_order_mark_of_an_editor_changes_nothing(tmp_path, design, result
     (tmp_path / "design.json").write_bytes(mark + design.to_json().encode())
     assert Design.load(tmp_path / "design.json").to_json() == design.to_json()
     result.save(tmp_path / "run.csv")
-    for file in ("run.csv", "run.json"):
-        (tmp_path / file).write_bytes(mark + (tmp_path / file).read_bytes())
+    (tmp_path / "run.json").write_bytes(
+        mark + (tmp_path / "run.json").read_bytes()
+    )  # the table's digest forbids it there
     assert Result.load(tmp_path / "run.csv").metadata == result.metadata
 
 
