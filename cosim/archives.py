@@ -16,7 +16,7 @@ MOST_ENTRIES = 10_000
 MOST_BYTES = 2**30
 """What an archive may unpack to [byte]."""
 MOST_RATIO = 200
-"""How many times larger than the archive that may be, beyond SMALL; code and tables shrink to a tenth, zeros to a thousandth."""
+"""How many times larger than the archive that may be, beyond SMALL; code shrinks to a tenth, zeros to a thousandth."""
 SMALL = 64 * 2**20
 
 _DAMAGED = (

@@ -26,6 +26,7 @@ from fmu_export.reading import first_bytes, read_bytes
 from . import parameter_files
 from .errors import SimulationError, UserError
 from .fmu import describe
+from .interrupts import second_ends
 from .results import Result, versions
 from .scenario import Scenario, files, run_scenario
 
@@ -96,7 +97,7 @@ def run_all(
             return failed(error)
 
     found: dict[K, T] = {}
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with second_ends(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             futures: dict[Future[T], Job[K]] = {pool.submit(run, job): job for job in jobs}
             for future in as_completed(futures):

@@ -191,18 +191,27 @@ def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
 
     if path is None:
         return PAPER_A, PAPER_B, PAPER_K_LIN
-    data = read_toml(path, "system")
-    wanted = ["A", "b", "k_lin"] if need_gain else ["A", "b"]
-    missing = [name for name in wanted if name not in data]
-    unknown = [name for name in data if name not in ("A", "b", "k_lin")]
-    if missing or unknown:
-        raise UserError(f"{path} must have A, b and k_lin; missing: {missing or 'none'}, unknown: {unknown or 'none'}")
     import numpy as np
 
-    try:
-        return tuple(np.array(data.get(name, []), dtype=float) for name in ("A", "b", "k_lin"))  # type: ignore[return-value]
-    except (TypeError, ValueError):
-        raise UserError(f"{path}: A must be rows of numbers of equal length, b and k_lin lists of numbers") from None
+    from .typed import checked
+
+    found = checked(_system_model(need_gain=need_gain), read_toml(path, "system"), path)
+    if len({len(row) for row in found.A}) > 1:
+        raise UserError(
+            f"{path}: A must be rows of numbers of equal length, found {[len(row) for row in found.A]} numbers"
+        )
+    return np.array(found.A, float), np.array(found.b, float), np.array(found.k_lin, float)
+
+
+def _system_model(*, need_gain: bool) -> Any:
+    """Return the typed model of a system file."""
+    from pydantic import ConfigDict, create_model
+
+    from .typed import Finite
+
+    gain = (list[Finite], ... if need_gain else [])
+    closed = ConfigDict(extra="forbid")
+    return create_model("System", __config__=closed, A=(list[list[Finite]], ...), b=(list[Finite], ...), k_lin=gain)
 
 
 @app.command()
@@ -312,7 +321,11 @@ def run(
         task = bar.add_task(chosen.name, total=None)
         try:
             result = run_scenario(
-                chosen, fmus, folder, progress=lambda done, total: bar.update(task, completed=done, total=total)
+                chosen,
+                fmus,
+                folder,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                target=path.parent,
             )
         except (SimulationError, Interrupted) as stopped:
             if len(stopped.result.time):

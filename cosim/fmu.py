@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 from weakref import WeakValueDictionary
+from xml.parsers import expat
 
 import fmpy
 import fmpy.fmi1
 import fmpy.fmi2
 from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelDescription, ScalarVariable
-from lxml import etree
 
 from fmu_export.errors import shown
 from fmu_export.variables import did_you_mean
@@ -64,9 +64,13 @@ _instances: WeakValueDictionary[int, Instance] = WeakValueDictionary()
 
 def _log(environment: int, name: bytes, status: int, category: bytes | None, message: bytes | None) -> None:
     instance = _instances.get(environment)
-    if instance is not None and len(instance.messages) < _MESSAGES_KEPT:
-        text = (message or b"")[:_MESSAGE_LENGTH].decode("utf-8", "replace").strip()
-        instance.messages.append(f"{status_text(status)}: {text}")
+    if instance is None:
+        return
+    text = f"{status_text(status)}: {(message or b'')[:_MESSAGE_LENGTH].decode('utf-8', 'replace').strip()}"
+    if len(instance.messages) < _MESSAGES_KEPT:
+        instance.messages.append(text)
+    elif status not in _GOOD and not instance.cause():
+        instance.messages[-1] = text  # among many, that of the failure is not lost
 
 
 # FMPy's proxy, which formats C's variadic messages, knows one Python logger per process: this one, kept for ever.
@@ -144,8 +148,7 @@ def _description(path: Path, folder: Path) -> ModelDescription:
     if not file.is_file():
         raise UserError(f"{path} is not a valid FMU: it has no modelDescription.xml")
     try:
-        if etree.parse(file, etree.XMLParser(resolve_entities=False, no_network=True)).docinfo.doctype:
-            raise UserError(f"{path} is not a valid FMU: a model description has no document type")
+        _refuse_entities(path, file.read_bytes())
         description = fmpy.read_model_description(str(folder))
     except UserError:
         raise
@@ -157,6 +160,17 @@ def _description(path: Path, folder: Path) -> ModelDescription:
     if not (identifier.isascii() and identifier.isidentifier()):  # a file's name: a path would load another library
         raise UserError(f"{path} must have a C identifier as modelIdentifier, found {shown(identifier)}")
     return description
+
+
+def _refuse_entities(path: Path, xml: bytes) -> None:
+    """Raise UserError for XML with a document type: its entities can read other files, and grow without end."""
+
+    def refuse(*_: object) -> NoReturn:
+        raise UserError(f"{path} is not a valid FMU: a model description has no document type")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(xml, True)
 
 
 def _first_line(error: Exception) -> str:
@@ -244,6 +258,20 @@ class Instance:
             return self.variables[name]
         except KeyError:
             raise UserError(f"{self.name} has no variable named {name!r}{did_you_mean(name, self.variables)}") from None
+
+    def require(self, name: str, causality: str, unit: str) -> None:
+        """Raise UserError where the FMU has no real input or output `name` of that unit."""
+        found = self.variable(name)
+        if (found.causality, found.type, found.unit or "1") != (causality, "Real", unit):
+            raise UserError(
+                f"{self.path}: {name} must be a real {causality} in {unit}, found {found.type} {found.causality} in "
+                f"{found.unit or '1'}"
+            )
+
+    def item(self, name: str, item: str) -> int | None:
+        """Return the value of an enumeration's item; None where the variable has none of that name."""
+        declared: Any = self.variables[name].declaredType if name in self.variables else None
+        return next((int(i.value) for i in getattr(declared, "items", ()) if i.name == item), None)
 
     def checked_start(self, start: Mapping[str, Value | str]) -> dict[str, Value]:
         """Return start values in their types; raise UserError for unknown names, outputs and inadmissible values."""
@@ -336,6 +364,7 @@ class Instance:
             return
         self._alive = False
         if self._running:
+            self._running = False
             try:
                 self._fmu.terminate()
             except fmpy.fmi1.FMICallException as error:
@@ -358,7 +387,7 @@ class Instance:
             self._fmu.instanceName = self.name
             self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
         except Exception as error:
-            raise FmuError(f"{self.name} ({self.path}): {error}{self._log_text()}") from None
+            raise FmuError(f"{self.name} ({self.path}): {error}{self.cause()}") from None
         finally:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
 
@@ -390,10 +419,10 @@ class Instance:
         """Raise FmuError for the call `what` that returned `status`."""
         if status == _FATAL:
             self._alive = False
-        raise FmuError(f"{self.name}: {what} returned {status_text(status)}{self._log_text()}")
+        raise FmuError(f"{self.name}: {what} returned {status_text(status)}{self.cause()}")
 
-    def _log_text(self) -> str:
-        """Return the first line of what the FMU logged of its failure; the whole log stays in `messages`."""
+    def cause(self) -> str:
+        """Return the first line of what the FMU logged of its failure, if it did; the whole log stays in `messages`."""
         for message in self.messages:
             kind, _, text = message.partition(": ")
             lines = text.splitlines()

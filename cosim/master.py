@@ -23,9 +23,11 @@ import numpy as np
 from fmu_export.variables import did_you_mean
 
 from .errors import Interrupted, SimulationError, UserError
-from .fmu import FmuError, Instance, Port, Value
+from .fmu import RECORDED, FmuError, Instance, Port, Value
+from .interrupts import second_ends
 from .native_loop import NativeLoop, needs_python
 from .results import Result, versions
+from .room import check_rows
 
 Order = Literal["controller-first", "parallel"]
 ORDERS: tuple[str, ...] = get_args(Order)
@@ -105,35 +107,40 @@ class Coupling:
         self.signals = [(self._end(s.target, "input"), s) for s in system.signals]
         for source, target in self.wires:
             self._check_wire(source, target)
+        for (instance, variable), _ in self.signals:
+            kind = self.instances[instance].variables[variable].type
+            if kind not in RECORDED:
+                raise UserError(f"{instance}.{variable} cannot follow a function of time, it is a {kind}")
         self._check_single_sources()
 
     def outputs(self) -> list[str]:
-        """Return the names of all outputs, as `instance.variable`."""
-        return [
-            f"{i.name}.{v.name}"
-            for i in self.instances.values()
-            for v in i.variables.values()
-            if v.causality == "output"
-        ]
+        """Return the names of all outputs that can be recorded, as `instance.variable`."""
+        return [f"{i.name}.{v.name}" for i in self.instances.values() for v in i.outputs()]
 
     def checked_outputs(self, names: Sequence[str] | None) -> list[str]:
         """Return the outputs to record, all for None; raise UserError for names that are not outputs."""
         if names is None:
+            for instance in self.instances.values():
+                if texts := instance.texts():
+                    instance.messages.append(f"warning: String outputs are not recorded: {', '.join(texts)}")
             return self.outputs()
         for name in names:
-            self._end(name, "output")
+            instance, variable = self._end(name, "output")
+            kind = self.instances[instance].variables[variable].type
+            if kind not in RECORDED:
+                raise UserError(f"the output {name} cannot be recorded, it is a {kind}")
         if len(set(names)) != len(names):
             raise UserError(f"outputs to record must be named once each, found {', '.join(names)}")
         return list(names)
 
     def unit(self, name: str) -> str:
         """Return the unit of `instance.variable`; '1' where it has none."""
-        instance, variable = name.split(".")
+        instance, variable = _split(name)
         return self.instances[instance].variables[variable].unit or "1"
 
     def _end(self, name: str, causality: str) -> tuple[str, str]:
-        instance, dot, variable = name.partition(".")
-        if not dot or instance not in self.instances:
+        instance, variable = _split(name)
+        if not variable or instance not in self.instances:
             raise UserError(f"{name!r} names no instance's variable{did_you_mean(instance, self.instances)}")
         found = self.instances[instance].variable(variable)
         if found.causality != causality:
@@ -146,6 +153,8 @@ class Coupling:
         text = f"the wire {'.'.join(source)} -> {'.'.join(target)}"
         if a.type != b.type:
             raise UserError(f"{text} must join equal types, found {a.type} and {b.type}")
+        if a.type not in RECORDED:
+            raise UserError(f"{text} must join numbers or Booleans, found {a.type}")
         if (a.unit or "1") != (b.unit or "1"):
             raise UserError(f"{text} must join equal units, found {a.unit} and {b.unit}")
 
@@ -156,12 +165,18 @@ class Coupling:
                 raise UserError(f"the input {target} must have one source, found {targets.count(target)}")
 
 
+def _split(name: str) -> tuple[str, str]:
+    """Return (instance, variable) of `instance.variable`; a variable's name may have dots, an instance's has none."""
+    instance, _, variable = name.partition(".")
+    return instance, variable
+
+
 class _Exchange:
     """The buffers of a running coupling: input and output ports per instance, and what is copied between them."""
 
     def __init__(self, coupling: Coupling, recorded: Sequence[str]) -> None:
         instances = coupling.instances
-        sources = {source for source, _ in coupling.wires} | {tuple(name.split(".")) for name in recorded}
+        sources = {source for source, _ in coupling.wires} | {_split(name) for name in recorded}
         targets = [t for _, t in coupling.wires] + [t for t, _ in coupling.signals]
         self.outputs = {n: i.ports([v for v in i.variables if (n, v) in sources], "Get") for n, i in instances.items()}
         self.inputs = {n: i.ports([v for o, v in targets if o == n], "Set") for n, i in instances.items()}
@@ -173,7 +188,7 @@ class _Exchange:
         self.drives = {name: [] for name in instances}
         for target, driver in coupling.signals:
             self.drives[target[0]].append((driver, *where_in[target]))
-        self.recorded = [where_out[tuple(name.split("."))] for name in recorded]
+        self.recorded = [where_out[_split(name)] for name in recorded]
 
     def gather(self, name: str, time: float) -> None:
         """Copy what the instance's inputs are wired to into its input buffers."""
@@ -227,13 +242,15 @@ def simulate(
     every: int = 1,
     metadata: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
+    folder: Path | None = None,
 ) -> Result:
     """Run `system` for `duration` [s] at the fixed communication `step` [s]; return what was recorded.
 
     `record` names the outputs to record, all for None; `every` records each n-th communication point besides the first
-    and the last. `progress(done, total)` is called with steps. Both engines make the same calls and give the same result to
-    the last bit. Raises UserError before anything runs for what cannot
-    work, SimulationError where an FMU fails and Interrupted on Ctrl-C, both with what was recorded.
+    and the last. `progress(done, total)` is called with steps. `folder` is where the result will be written. Both engines
+    make the same calls and give the same result to
+    the last bit. Raises UserError before anything runs for what cannot work or leaves more than there is room for,
+    SimulationError where an FMU fails and Interrupted on Ctrl-C, both with what was recorded.
     """
     steps = step_count(step, duration)
     if order not in ORDERS:
@@ -244,6 +261,7 @@ def simulate(
         raise UserError(f"every must be at least 1, found {every}")
     coupling = Coupling(system)
     recorded = coupling.checked_outputs(record)
+    check_rows(steps // every + 2, len(recorded), every, folder=folder)
     if engine == "auto":
         engine = "fmpy" if needs_python(coupling.instances) else "native"
     about = {
@@ -300,7 +318,7 @@ class _Run:
         self.time = start_time
         loop = self._native_loop if engine == "native" else self._python_loop
         try:
-            with _deferred_interrupt() as self.interrupt:
+            with second_ends(), _deferred_interrupt() as self.interrupt:
                 self._start(start_time, start_time + self.steps * step)
                 loop(step, start_time, order, progress)
             self.about["complete"] = True

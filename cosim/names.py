@@ -22,7 +22,7 @@ def is_plain(name: str) -> bool:
         and not _SPECIAL & set(name)
         and not name.startswith((".", " "))
         and not name.endswith((".", " "))
-        and name.split(".", maxsplit=1)[0].lower() not in _RESERVED
+        and name.partition(".")[0].lower() not in _RESERVED
     )
 
 

@@ -9,9 +9,11 @@ and so on, a key for each field of `QubeParameters`, in its unit; keys of fields
 
 from __future__ import annotations
 
+import sys
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
+from fmu_export.errors import shown
 from fmu_export.files import is_file, write_file
 from fmu_export.ownership import WRITTEN
 from fmu_export.variables import did_you_mean
@@ -36,14 +38,14 @@ def load(path: Path) -> ParameterSet:
     known = {"source": True, "back_emf": True, **_NUMBERS}
     for key in data:
         if key not in known:
-            raise UserError(f"{path}: there is no parameter {key!r}{did_you_mean(key, known)}")
+            raise UserError(f"{path}: there is no parameter {shown(key)}{did_you_mean(key, known)}")
     missing = [key for key, required in known.items() if required and key not in data]
     if missing:
         raise UserError(f"{path}: {', '.join(missing)} missing; a parameter file has {', '.join(known)}")
     if not isinstance(data["source"], str):
-        raise UserError(f"{path}: source must be a text, found {data['source']!r}")
+        raise UserError(f"{path}: source must be a text, found {shown(data['source'])}")
     if not isinstance(data["back_emf"], bool):
-        raise UserError(f"{path}: back_emf must be true or false, found {data['back_emf']!r}")
+        raise UserError(f"{path}: back_emf must be true or false, found {shown(data['back_emf'])}")
     numbers = {key: _number(path, key, data[key]) for key in _NUMBERS if key in data}
     try:
         parameters = QubeParameters(**numbers)
@@ -93,6 +95,7 @@ def check_name(name_or_file: str, entry: str = "parameter set") -> None:
 
 
 def _number(path: Path, key: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UserError(f"{path}: {key} must be a number, found {value!r}")
+    large = isinstance(value, int) and abs(value) > sys.float_info.max
+    if isinstance(value, bool) or not isinstance(value, int | float) or large:
+        raise UserError(f"{path}: {key} must be a number, found {shown(value)}")
     return float(value)

@@ -23,12 +23,16 @@ from fmu_export.files import uninterrupted, write_files
 from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError
+from .room import check_memory
 
 FORMAT = "qube-ihc result 2"
 EARLIER_FORMATS = ("qube-ihc result 1",)
 
 ROWS_AT_ONCE = 500
 """Rows that become text together: few enough for the processor's caches."""
+
+BYTES_READ = 8
+"""Memory that reading a table takes, for each byte of the file."""
 
 MOST_BYTES = 8 * 2**30
 """Size of the largest table that is read [byte]."""
@@ -65,7 +69,7 @@ class Result:
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
         columns = [self.time, *self.signals.values()]
-        table = [",".join(["time", *self.signals]).encode() + b"\n"]
+        table = [_names(["time", *self.signals]) + b"\n"]
         for k in range(0, len(self.time), ROWS_AT_ONCE):
             table.append(_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) + b"\n")
         about = {"units": self.units, "metadata": self.metadata}
@@ -77,9 +81,12 @@ class Result:
     @classmethod
     def load(cls, path: Path) -> Result:
         """Read a CSV and the JSON that describes it; raise UserError that names the file and what does not fit."""
+        if path.is_file():
+            size = BYTES_READ * path.stat().st_size
+            check_memory(f"reading {path}", size, "a result with fewer rows or columns can be read")
         content = read_bytes(path, "result", MOST_BYTES)
         header = _description(path.with_suffix(".json"))
-        rows = content.count(b"\n") - 1
+        rows = content.count(b"\n") - 1 - sum(name.count("\n") for name in header["units"])
         if rows != header["rows"]:
             raise UserError(f"{path} has {rows} rows, its description says {header['rows']}: cut, or of another run")
         if _sha256([content]) != header["sha256"]:
@@ -95,7 +102,11 @@ class Result:
             raise UserError(f"{path}: the columns must be time and signals with units, found {', '.join(names)}")
         columns = list(zip(*lines, strict=True)) or [() for _ in names]
         arrays = [_column(path, name, column) for name, column in zip(names, columns, strict=True)]
-        return cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
+        result = cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
+        from .provenance import provenance  # noqa: PLC0415 - it needs this module
+
+        provenance(result)
+        return result
 
 
 def _description(path: Path) -> dict[str, Any]:
@@ -127,6 +138,11 @@ def _sha256(pieces: Iterable[bytes]) -> str:
     for piece in pieces:
         digest.update(piece)
     return digest.hexdigest()
+
+
+def _names(names: Sequence[str]) -> bytes:
+    """Return the first row; names of FMUs may have commas, quotes and line breaks in them."""
+    return ",".join('"' + n.replace('"', '""') + '"' if set(n) & set(',"\r\n') else n for n in names).encode()
 
 
 def _csv(columns: Sequence[Array]) -> bytes:

@@ -75,7 +75,8 @@ class PlantSection(_Section):
     """The plant FMU."""
 
     fmu: PlainName = Field(
-        "QubeServo2.fmu", description="file, in the folder given to the command or beside the scenario"
+        "QubeServo2.fmu",
+        description="name of a file in the folder given to the command or beside the scenario; no path",
     )
     parameters: str | None = Field(
         None,
@@ -98,7 +99,8 @@ class ControllerSection(_Section):
     """The controller FMU."""
 
     fmu: PlainName = Field(
-        "IhcController.fmu", description="file, in the folder given to the command or beside the scenario"
+        "IhcController.fmu",
+        description="name of a file in the folder given to the command or beside the scenario; no path",
     )
     design: str | None = Field(
         None, description="design file beside the scenario; none: the design exported in the FMU"
@@ -321,9 +323,16 @@ def random_measurement(seed: int) -> dict[str, StartValue]:
 
 
 def run_scenario(
-    scenario: Scenario, fmus: Path, folder: Path | None = None, progress: Callable[[int, int], None] | None = None
+    scenario: Scenario,
+    fmus: Path,
+    folder: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    target: Path | None = None,
 ) -> Result:
-    """Run `scenario` and return its result, whose metadata holds it; raises as `simulate`."""
+    """Run `scenario` and return its result, whose metadata holds it; raises as `simulate`.
+
+    `target` is the folder that the result will be written to, which must have room for it.
+    """
     from .master import simulate  # noqa: PLC0415
 
     run = scenario.run
@@ -337,6 +346,7 @@ def run_scenario(
         every=scenario.record.every,
         metadata={"scenario": scenario.model_dump(mode="json")},
         progress=progress,
+        folder=target,
     )
 
 

@@ -31,20 +31,19 @@ def checked(model: type[T], data: Any, source: object) -> T:
 def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
     problem = error.errors(include_url=False)[0]
     place = [part for part in problem["loc"] if part != "[key]"]
-    found = shown(problem["input"])
-    if not place:
-        return f"must be a table, found {found}"
-    if place[-1] in _UNION:
-        return f"{_dotted(place[:-1])} must be a number, true, false or a name, found {found}"
     if problem["type"] == "extra_forbidden":
         return f"there is no entry {_dotted(place)}{did_you_mean(str(place[-1]), _known(model, place[:-1]))}"
     if problem["type"] == "missing":
         return f"{_dotted(place)} is required"
     if problem["type"] == "value_error":
-        return f"{_dotted(place)} {problem['ctx']['error']}"
-    if problem["type"].startswith("model"):
-        return f"{_dotted(place)} must be a table, found {found}"
-    return f"{_dotted(place)} {problem['msg'].replace('Input should be', 'must be')}, found {found}"
+        return f"{_dotted(place)} {problem.get('ctx', {}).get('error')}"
+    if place and place[-1] in _UNION:
+        place, rule = place[:-1], "must be a number, true, false or a name"
+    elif not place or problem["type"].startswith(("model", "dict")):
+        rule = "must be a table"
+    else:
+        rule = problem["msg"].replace("Input should be", "must be")
+    return f"{_dotted(place)} {rule}, found {shown(problem['input'])}".lstrip()
 
 
 def _dotted(place: list[Any]) -> str:

@@ -292,12 +292,13 @@ def device(
     It has its own clock, or goes in lockstep where `hil --lockstep` asks for it, and cuts its voltage where it hears nothing
     for 20 ms.
     """
+    from ..interrupts import second_ends
     from ..scenario import build_system, load_scenario
     from .faults import parse
     from .loop import stop_signals
     from .realtime import undisturbed
     from .simulated import Board
-    from .udp import Server, address_of
+    from .udp import Server, address_of, beyond_loopback
 
     chosen, folder = load_scenario(scenario)
     _, plant = build_system(chosen.changed(dict(assignments(change))), fmus, folder).components
@@ -310,9 +311,15 @@ def device(
         if record is not None and board.record:
             board.save_record(record)
 
-    with stop_signals() as received:
+    with stop_signals() as received, second_ends():
         server = Server(board, address_of(listen), say)
         say(f"listening at {server.address[0]}:{server.address[1]}")
+        if beyond_loopback(server.address):
+            problems.print(
+                "[yellow]warning:[/] whoever reaches this address over the network can use the device, and the messages are "
+                "neither signed nor secret; 127.0.0.1 is for this machine alone",
+                soft_wrap=True,
+            )
         with undisturbed(real_time=real_time):
             server.serve(lambda: bool(received) or (once and server.sessions > 0))
     if record is not None:
@@ -324,10 +331,11 @@ def device(
 def replay(run: RunArgument, controller: ControllerOption = None, fmus: FmusOption = Path("fmus")) -> None:
     """Feed a log's measurements to the controller FMU again and check that it commands the same, bit for bit."""
     from ..results import Result
+    from .replay import controller_of
     from .replay import replay as run_replay
 
     result = Result.load(run)
-    found = run_replay(result, _controller_fmu(result, controller, fmus))
+    found = run_replay(result, controller_of(result, controller, fmus))
     if not found.same_fmu:
         problems.print("[yellow]note:[/] this FMU is not the file that the log was made with (another GUID)")
     if found.first is None:
@@ -357,21 +365,22 @@ def overlay(
 ) -> None:
     """Re-simulate a run from where its log begins and lay the simulation over the hardware: pictures, metrics."""
     from ..plots import COMPARISON, save_comparison
+    from ..provenance import provenance
     from ..results import Result
     from .overlay import as_seen, differences, resimulate
+    from .replay import controller_of
     from .scaling import RESOLUTION
 
     result = Result.load(run)
-    about = result.metadata.get("scenario", {}).get("plant", {})
     folder = output or run.with_name(f"{run.stem}_overlay")
     pictures = (f"{name}.png" for name in COMPARISON)
     check_replaceable(*(folder / name for name in ("simulation.csv", "simulation.json", *pictures)))
-    plant = fmus / Path(about.get("fmu", "QubeServo2.fmu")).name
+    plant = fmus / provenance(result).scenario.plant.fmu
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
         found = resimulate(
             result,
-            (plant, _controller_fmu(result, controller, fmus)),
+            (plant, controller_of(result, controller, fmus)),
             parameters,
             begin,
             lambda done, total: bar.update(task, completed=done, total=total),
@@ -451,9 +460,3 @@ def identify(
         soft_wrap=True,
     )
     console.print(f"wrote {escaped(path)}", soft_wrap=True)
-
-
-def _controller_fmu(result: Result, controller: Path | None, fmus: Path) -> Path:
-    """Return the controller FMU to use: the one given, or that of the log's name in the folder."""
-    about = result.metadata.get("fmus", {}).get("controller", {})
-    return controller or fmus / about.get("file", "IhcController.fmu")

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import UserError
 from ..fmu import FmuError
+from ..interrupts import second_ends
 from ..master import Component
 from . import checks
 from .device import LED_IDLE, Device, DeviceError
@@ -40,11 +41,12 @@ def diagnose(device: Device, component: Component, settings: Settings) -> Iterat
             return
         yield "ok", "Quanser's package and library are there"
     try:
-        yield _controller(component, settings)
+        with second_ends():
+            yield _controller(component, settings)
     except (UserError, FmuError) as error:
         yield "wrong", str(error)
         return
-    with stop_signals() as received:
+    with stop_signals() as received, second_ends(lambda: "; ".join(device.safe_stop("the check was ended"))):
         try:
             device.open()
             yield "ok", f"{device.name}: open, amplifier off, no fault reported"

@@ -28,7 +28,8 @@ class Limits:
 
     Angles of the arm [rad]; currents [A] and how long the continuous one may be exceeded [s]; the largest believable speed
     of an encoder [counts/s], above the 78 counts/ms of the motor without load at 10 V; missed periods in a row, and as a
-    share of the last second; the pendulum's angle [rad] beyond which a balanced one has fallen.
+    share of the last second; the longest gap between two samples [s], beyond which nothing is known any more; the
+    pendulum's angle [rad] beyond which a balanced one has fallen.
     """
 
     arm_warning: float = math.radians(90.0)
@@ -39,6 +40,7 @@ class Limits:
     encoder_speed: float = 100_000.0
     missed_in_a_row: int = 5
     missed_share: float = 0.01
+    longest_gap: float = 1.0
     fall: float = math.radians(20.0)
 
 
@@ -70,6 +72,11 @@ class Guard:
         if first:
             self._begin = s.tick
         missed = 0 if first else s.tick - self._seen - 1
+        if not 0 <= missed * self.period <= limits.longest_gap or s.tick < 0:
+            return (
+                Action.STOP,
+                f"the device's clock is not to be believed: from period {self._seen} to {s.tick} at once",
+            )
         self._seen = s.tick
         if missed or self._in_a_row:
             reason = self._miss(s.tick, missed)

@@ -27,6 +27,7 @@ from plant_fmu.integrator import substeps
 from plant_fmu.parameters import ParameterSet, QubeParameters
 
 from ..errors import UserError
+from ..provenance import provenance
 from ..results import Result
 
 Array = np.ndarray
@@ -251,9 +252,7 @@ def _check_names(names: Sequence[str]) -> None:
 
 def _name(result: Result) -> str:
     """Return what the log's metadata call it, and its length."""
-    scenario = result.metadata.get("scenario")
-    name = scenario.get("name") if isinstance(scenario, dict) else None
-    return f"a log of {name or 'a run'}, {result.time[-1] - result.time[0]:g} s"
+    return f"a log of {provenance(result).scenario.name}, {result.time[-1] - result.time[0]:g} s"
 
 
 # The log
@@ -309,8 +308,9 @@ def _signals(result: Result) -> tuple[Array, Array]:
     for name in (*ANGLES, voltage_name):
         if name not in result.signals:
             raise UserError(f"the identification needs {name}; the log has {', '.join(result.signals) or 'no signals'}")
-    if result.metadata.get("every", 1) != 1:
-        raise UserError(f"the identification needs every row, found a log with every = {result.metadata['every']}")
+    about = provenance(result)
+    if about.every not in (None, 1):
+        raise UserError(f"the identification needs every row, found a log with every = {about.every}")
     angles = np.column_stack([result[name] for name in ANGLES]).astype(float)
     voltage = np.asarray(result[voltage_name], dtype=float)
     for name, values in (
@@ -321,7 +321,7 @@ def _signals(result: Result) -> tuple[Array, Array]:
     ):
         if not np.all(np.isfinite(values)):
             raise UserError(f"the identification needs finite numbers, found others in {name}")
-    if voltage_name == COMMANDED and result.metadata.get("order") == "parallel":
+    if voltage_name == COMMANDED and about.order == "parallel":
         voltage = np.concatenate([voltage[:1], voltage[:-1]])  # a row then has the voltage of the next step
     return angles, voltage
 

@@ -19,9 +19,15 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, StrictStr
+
+from fmu_export.reading import decoded, parse_json
 
 from ..errors import UserError
+from ..provenance import Provenance
 from ..results import Result
+from ..room import check_disk, check_memory
+from ..typed import checked
 from .scaling import RESOLUTION, delta_of, theta_of
 
 MAGIC = b"QUBEROW2"
@@ -33,6 +39,10 @@ TIMING = ("tick", "due", "woke", "latency", "step_time", "steps", "arm", "pendul
 the command and within the controller [ns]; how often the controller was stepped; raw counts and bits."""
 MEASURED = ("current", "tachometer", "applied_voltage")
 """Real columns of a row: [A], [counts/s], and the voltage that was in force until this row [V]."""
+
+
+COPIES = 3
+"""How many times the size of a log is in memory when its result is made."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +61,8 @@ class Layout:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The columns in the order of a row, without number and CRC."""
-        return (*TIMING, *MEASURED, *self.reals, *self.integers)
+        """The columns in the order of a row, without number and CRC; the controller's cannot be taken for the others."""
+        return (*TIMING, *MEASURED, *(f"controller.{name}" for name in (*self.reals, *self.integers)))
 
 
 class RowLog:
@@ -67,6 +77,9 @@ class RowLog:
         header = json.dumps({**columns, "crc32": _crc(columns)}).encode()
         self.begin = _HEAD.size + len(header)
         size = self.begin + rows * self.struct.size
+        hint = "a shorter duration or a lower rate would do"
+        check_disk("the run's log", size, path.parent, hint)
+        check_memory("the run's log, and the result made of it,", COPIES * size, hint)
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             self._file = self.path.open("x+b")
@@ -152,18 +165,30 @@ class LiveLog:
 
 
 def _read_header(buffer: mmap.mmap | bytes, path: Path) -> tuple[Layout, dict[str, Any], int]:
-    try:
-        magic, length = _HEAD.unpack_from(buffer)
-        begin = _HEAD.size + length
-        if magic != MAGIC or begin > len(buffer):
-            raise ValueError
-        header = json.loads(bytes(buffer[_HEAD.size : begin]))
-        layout, about = Layout(tuple(header["reals"]), tuple(header["integers"]), header["units"]), header["about"]
-    except (struct.error, ValueError, KeyError, TypeError):
-        raise UserError(f"{path} is not the log of a run") from None
-    if header.pop("crc32", None) != _crc(header):
+    magic, length = _HEAD.unpack_from(buffer) if len(buffer) >= _HEAD.size else (b"", 0)
+    begin = _HEAD.size + length
+    if magic != MAGIC or begin > len(buffer):
+        raise UserError(f"{path} is not the log of a run")
+    data = parse_json(decoded(bytes(buffer[_HEAD.size : begin]), path), path)
+    header = checked(_Header, data, path)
+    if data.pop("crc32", None) != _crc(data):
         raise UserError(f"the log {path} is damaged: its header does not fit its checksum")
-    return layout, about, begin
+    if header.about.step is None:
+        raise UserError(f"{path}: about.step is required")
+    names = [*header.reals, *header.integers]
+    if len(set(names)) < len(names) or set(names) != header.units.keys():
+        raise UserError(f"{path}: reals and integers must name each of the units' outputs once")
+    return Layout(header.reals, header.integers, header.units), data["about"], begin
+
+
+class _Header(BaseModel):
+    """The JSON at the beginning of a log."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+    reals: tuple[StrictStr, ...]
+    integers: tuple[StrictStr, ...]
+    units: dict[StrictStr, StrictStr]
+    about: Provenance
 
 
 def _crc(header: Mapping[str, Any]) -> int:
@@ -177,7 +202,7 @@ def rows_of(content: bytes, path: Path) -> tuple[Layout, dict[str, Any], np.ndar
     Raises UserError for what is no log, and where a row before the last finished one does not fit its checksum.
     """
     layout, about, begin = _read_header(content, path)
-    whole = set(TIMING) | set(layout.integers)
+    whole = {*TIMING, *(f"controller.{name}" for name in layout.integers)}
     types = [(name, "<i8" if name in whole else "<f8") for name in layout.names]
     dtype = np.dtype([*types, ("number", "<u4"), ("crc", "<u4")])
     room = (len(content) - begin) // dtype.itemsize
@@ -209,7 +234,7 @@ def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Res
     ticks = rows["tick"] - rows["tick"][0]
     signals: dict[str, np.ndarray] = {}
     for name in layout.units:  # in the controller's own order
-        signals[f"controller.{name}"] = rows[name].copy()
+        signals[f"controller.{name}"] = rows[f"controller.{name}"].copy()
     units = {f"controller.{name}": unit for name, unit in layout.units.items()}
 
     def add(name: str, unit: str, values: np.ndarray) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ import numpy as np
 
 from ..errors import UserError
 from ..fmu import FmuError, Instance
+from ..interrupts import second_ends
 from ..master import Component
 from ..metrics import STABILIZING
 from ..native_loop import NativeLoop
@@ -67,17 +69,15 @@ class Controller:
 
     def __init__(self, component: Component, period: float) -> None:
         self.instance = instance = Instance("controller", Path(component.path))
-        for name, causality in (("theta", "input"), ("delta", "input"), ("voltage", "output")):
-            found = instance.variable(name)
-            if found.causality != causality or found.type != "Real":
-                raise UserError(
-                    f"{component.path}: {name} must be a real {causality}, found a {found.type} {found.causality}"
-                )
+        for name, causality, unit in (("theta", "input", "rad"), ("delta", "input", "rad"), ("voltage", "output", "V")):
+            instance.require(name, causality, unit)
         self.start = instance.checked_start(component.start)
         sample_time = self.start.get("sample_time", period)
         if not math.isclose(float(sample_time), period, rel_tol=1e-9):
             raise UserError(f"controller.sample_time must be the loop's period, {period:g} s, found {sample_time:g} s")
-        outputs = [v for v in instance.variables.values() if v.causality == "output"]
+        outputs = instance.outputs()
+        if texts := instance.texts():
+            instance.messages.append(f"warning: String outputs are not recorded: {', '.join(texts)}")
         self.layout = Layout(
             tuple(v.name for v in outputs if v.type == "Real"),
             tuple(v.name for v in outputs if v.type != "Real"),
@@ -85,11 +85,38 @@ class Controller:
         )
         self.period = period
         self._mode = self.layout.integers.index("mode") if "mode" in self.layout.integers else None
-        self._fault_mode = _item(instance, "mode", "fault")
+        self._fault_mode = instance.item("mode", "fault")
+        if "mode" in self.layout.units and self._fault_mode is None:
+            raise UserError(
+                f"{component.path}: mode must be an Enumeration with the item fault, by which the controller gives up, "
+                f"found {instance.variables['mode'].type}"
+            )
+
+    def rehearse(self) -> None:
+        """Do once all that a run calls, for a pendulum that hangs at rest, so that nothing of it fails with a motor on.
+
+        Raises FmuError, and UserError for a voltage that no controller may command. An FMU that can be instantiated only
+        once in a process is left alone.
+        """
+        unit = self.instance.description.coSimulation
+        assert unit is not None
+        if unit.canBeInstantiatedOnlyOncePerProcess:
+            return
+        earlier = list(self.instance.messages)
+        try:
+            self.prepare()
+            self.begin(0.0, -math.pi)
+            voltage = self.command(0.0, -math.pi)
+            self.outputs()
+        finally:
+            self.close()
+        self.instance.messages[:] = earlier
+        if not -HARD_LIMIT <= voltage <= HARD_LIMIT:
+            raise UserError(f"the controller commands {voltage} V at rest, beyond ±{HARD_LIMIT:g} V or not a number")
 
     def prepare(self) -> None:
         """Instantiate and initialize up to the first measurement."""
-        self.instance.start(self.start, 0.0, math.inf)
+        self.instance.start(self.start, 0.0, None)
         (self._inputs,) = self.instance.ports(("theta", "delta"), "Set")
         (self._voltage,) = self.instance.ports(("voltage",), "Get")
         self._outputs = self.instance.ports((*self.layout.reals, *self.layout.integers), "Get")
@@ -152,12 +179,6 @@ class Controller:
         self.instance.close()
 
 
-def _item(instance: Instance, name: str, item: str) -> int:
-    """Return the value of an enumeration's item; -1 where there is none."""
-    declared: Any = instance.variables[name].declaredType if name in instance.variables else None
-    return next((int(i.value) for i in getattr(declared, "items", ()) if i.name == item), -1)
-
-
 class Loop:
     """One run of a controller on a device."""
 
@@ -204,6 +225,8 @@ class Loop:
             stop_on_fall=settings.on_fall == "stop",
         )
         self.notes: list[str] = []
+        self._stopping = threading.Lock()
+        self._stopped = False
 
     def run(self) -> Report:
         """Run to the end, stop the device, and return what came of it; the log's file stays until `Report.result` is safe.
@@ -213,7 +236,7 @@ class Loop:
         """
         failures: list[str] = []
         surprise: BaseException | None = None
-        with stop_signals() as received:
+        with stop_signals() as received, second_ends(self._last_resort):
             try:
                 self._open()
                 with undisturbed(real_time=self.device.real_time and self.settings.real_time) as self.notes:
@@ -238,6 +261,7 @@ class Loop:
 
     def _open(self) -> None:
         try:
+            self.controller.rehearse()
             self.controller.prepare()
             self.device.open()
         except FmuError as error:
@@ -248,10 +272,21 @@ class Loop:
             raise
 
     def _stop(self, reason: str) -> list[str]:
-        try:
-            return self.device.safe_stop(reason)
-        except Exception as error:  # the log must be written whatever happens here
-            return [f"the stop itself failed: {error!r}"]
+        with self._stopping:  # by one thread, and once
+            if self._stopped:
+                return []
+            try:
+                return self.device.safe_stop(reason)
+            except Exception as error:  # the log must be written whatever happens here
+                return [f"the stop itself failed: {error!r}"]
+            finally:
+                self._stopped = True
+
+    def _last_resort(self) -> str:
+        """Stop the device from another thread, where this one hangs in a call, before the process is ended."""
+        failures = self._stop("ended while the controller was computing")
+        how = "; ".join(failures) if failures else "the device is at 0 V"
+        return f"{how}; the rows are in {self.log.path}, the next run into its folder makes a result of them"
 
     def _execute(self, received: list[int]) -> None:
         settings, device = self.settings, self.device

@@ -17,6 +17,7 @@ from ..fmu import start_values_of
 from ..master import Component, System, simulate
 from ..metrics import wrapped
 from ..parameter_files import chosen
+from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
 from .identify import Beginning, beginning
@@ -67,10 +68,10 @@ def resimulate(
     arm's was zeroed is in its first angle, since nothing depends on that but the measurement. Raises UserError for a log
     without start values, or too short.
     """
-    try:
-        start, step = result.metadata["start_values"]["controller"], result.metadata["step"]
-    except (KeyError, TypeError):
-        raise UserError("the log does not say with which start values it was made") from None
+    about = provenance(result)
+    start, step = about.start_values.get("controller"), about.step
+    if start is None or step is None:
+        raise UserError("the log does not say with which start values it was made")
     rows = np.flatnonzero(result.time >= begin - 1e-9)
     if rows.size < LEAST_ROWS:
         raise UserError(f"the log must have {LEAST_ROWS} rows from {begin:g} s on, it ends at {_end(result):g} s")

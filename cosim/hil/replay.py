@@ -7,8 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import UserError
+from ..errors import SimulationError, UserError
+from ..fmu import FmuError, describe
+from ..interrupts import second_ends
 from ..master import Component
+from ..provenance import provenance
 from ..results import Result
 from .loop import Controller
 
@@ -35,43 +38,67 @@ class Replay:
     same_fmu: bool
 
 
+def controller_of(result: Result, given: Path | None, fmus: Path) -> Path:
+    """Return the controller FMU to use with a log: the file that the user named, or the log's own in the folder `fmus`.
+
+    What the log names is a file in that folder and nowhere else, and its contents are what the log was made with; UserError
+    otherwise.
+    """
+    if given is not None:
+        return given
+    used = provenance(result).fmus.get("controller")
+    if used is None:
+        raise UserError("the log does not say with which controller it was made; --controller names one")
+    path = fmus / used.file
+    guid = describe(path)[1].guid
+    if guid != used.guid:
+        raise UserError(
+            f"{path} is not the FMU that the log was made with, its GUID is {guid} and that of the log {used.guid}; "
+            "--controller FILE takes a file all the same"
+        )
+    return path
+
+
 def replay(result: Result, fmu: Path) -> Replay:
     """Feed the measured angles of `result` to the controller `fmu` with the log's start values and compare all outputs.
 
     The log is one of a device, or a simulation's with encoders, the order controller-first and every row. Raises
-    UserError for a log that lacks what is needed.
+    UserError for a log that lacks what is needed, SimulationError where the FMU fails.
     """
-    about = result.metadata
-    try:
-        start, step = about["start_values"]["controller"], about["step"]
-        guid = about["fmus"]["controller"]["guid"]
-    except (KeyError, TypeError):
-        raise UserError("the log does not say with which controller and start values it was made") from None
-    wires = about.get("wires")
-    if about.get("order") != "controller-first" or about.get("every") != 1:
+    about = provenance(result)
+    used, start = about.fmus.get("controller"), about.start_values.get("controller")
+    if used is None or start is None or about.step is None:
+        raise UserError("the log does not say with which controller and start values it was made")
+    if about.order != "controller-first" or about.every != 1:
         raise UserError("a replay needs every row of a run in the order controller-first")
-    if wires is not None and ["plant.theta_encoder", "controller.theta"] not in wires:
+    if about.wires is not None and ("plant.theta_encoder", "controller.theta") not in about.wires:
         raise UserError("a replay needs a run whose controller got the encoders' angles and nothing else")
     theta, delta = (result[name] for name in MEASURED)
-    controller = Controller(Component("controller", fmu, start), step)
-    names = controller.layout.names[-len(controller.layout.reals + controller.layout.integers) :]
+    controller = Controller(Component("controller", fmu, start), about.step)
+    names = (*controller.layout.reals, *controller.layout.integers)
     logged = [result[f"controller.{name}"].tolist() for name in names]
     rows = len(result.time)
     steps = result["hil.steps"].tolist() if "hil.steps" in result.signals else [1] * rows
     if rows:
         steps[-1] = 0  # the outputs after the last row were never in force
     replayed = np.empty((rows, len(names)))
-    controller.prepare()
+    row = 0
     try:
-        earlier = (float(theta[0]), float(delta[0])) if rows else (0.0, 0.0)
-        outputs = controller.begin(*earlier) if rows else ()
-        for row in range(rows):
-            replayed[row] = outputs
-            if steps[row]:
-                angles = float(theta[row]), float(delta[row])
-                controller.catch_up(earlier, *angles, steps[row])
-                controller.command(*angles)
-                outputs, earlier = controller.outputs(), angles
+        with second_ends():
+            controller.prepare()
+            earlier = (float(theta[0]), float(delta[0])) if rows else (0.0, 0.0)
+            outputs = controller.begin(*earlier) if rows else ()
+            for row in range(rows):
+                replayed[row] = outputs
+                if steps[row]:
+                    angles = float(theta[row]), float(delta[row])
+                    controller.catch_up(earlier, *angles, steps[row])
+                    controller.command(*angles)
+                    outputs, earlier = controller.outputs(), angles
+    except FmuError as error:
+        done = Result(result.time[:row], {}, {}, result.metadata)
+        time = float(result.time[row]) if rows else 0.0
+        raise SimulationError(f"at t = {time:.9g} s of the replay: {error}", done, time, "controller") from None
     finally:
         controller.close()
     same = np.array([_bits(replayed[:, i]) == _bits(np.array(column)) for i, column in enumerate(logged)]).T
@@ -81,7 +108,7 @@ def replay(result: Result, fmu: Path) -> Replay:
         row = int(differing[0])
         column = int(np.flatnonzero(~same[row])[0])
         first = Difference(float(result.time[row]), names[column], logged[column][row], float(replayed[row, column]))
-    return Replay(sum(map(bool, steps)), int(differing.size), first, controller.instance.description.guid == guid)
+    return Replay(sum(map(bool, steps)), int(differing.size), first, controller.instance.description.guid == used.guid)
 
 
 def _bits(values: np.ndarray) -> np.ndarray:

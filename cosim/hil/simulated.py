@@ -39,8 +39,8 @@ HOLD = 0.02
 HARD_LIMIT = 15.0
 """Range of the board's output [V]."""
 
-_INPUTS = ("voltage", "pendulum_torque")
-_OUTPUTS = ("theta_encoder", "delta_encoder", "theta_dot", "current")
+_INPUTS = {"voltage": "V", "pendulum_torque": "N.m"}
+_OUTPUTS = {"theta_encoder": "rad", "delta_encoder": "rad", "theta_dot": "rad/s", "current": "A"}
 _DIGITAL = {"amplifier-fault": AMPLIFIER_FAULT, "stall": STALL_DETECTED, "stall-error": STALL_ERROR}
 
 
@@ -61,8 +61,12 @@ class Board:
 
     def __init__(self, plant: Component, faults: Sequence[Fault] = ()) -> None:
         self.plant = Instance("plant", Path(plant.path))
+        for names, causality in ((_INPUTS, "input"), (_OUTPUTS, "output")):
+            for name, unit in names.items():
+                self.plant.require(name, causality, unit)
         self._start = self.plant.checked_start(plant.start)
-        declared = self.plant.variable("encoder_counts").start or "0"
+        encoder = self.plant.variable("encoder_counts")
+        declared = encoder.start or "0" if encoder.type in ("Integer", "Real") else "0"
         counts = self._start.get("encoder_counts", int(float(declared)))
         if counts != COUNTS_PER_TURN:
             raise UserError(f"a simulated device needs plant.start.encoder_counts = {COUNTS_PER_TURN}, found {counts}")

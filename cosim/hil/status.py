@@ -37,7 +37,7 @@ class Part(NamedTuple):
 
 def parts(row: Mapping[str, float], first_tick: float, rows: int, step: float) -> list[Part]:
     """Return the newest row in words: time, mode, angles, voltage, how late, what has been missed, faults."""
-    mode = int(row.get("mode", 0))
+    mode = int(row.get("controller.mode", 0))
     name = MODES[mode - 1].replace("_", "-") if 1 <= mode <= len(MODES) else "running"
     theta, delta = math.degrees(theta_of(int(row["arm"]))), delta_of(int(row["pendulum"]))
     upright = math.degrees(math.remainder(delta, 2.0 * math.pi))

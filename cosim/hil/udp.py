@@ -1,7 +1,7 @@
 """A simulated device in another process, over UDP: the messages, the loop's side and the device's side.
 
 Little-endian. Each message has a header: magic, version, kind, body's size, session, sequence number, time of sending [ns].
-Of another session, version or size it is dropped and counted; with a sequence number that is not new it is late or a
+Of another session, sender, version or size it is dropped and counted; with a sequence number that is not new it is late or a
 duplicate and never applied. Free-running, the device samples by its own clock and both sides take the newest message; in
 lockstep one command is one period, and a message that got lost is sent again, so that the run is the same to the last bit as
 with the device in the loop's process.
@@ -9,6 +9,7 @@ with the device in the loop's process.
 
 from __future__ import annotations
 
+import ipaddress
 import math
 import secrets
 import select
@@ -72,6 +73,11 @@ def unpacked(data: bytes) -> Message | None:
     if magic != MAGIC or version != VERSION or not HELLO <= kind <= STOPPED or not whole:
         return None
     return Message(kind, session, seq, body)
+
+
+def beyond_loopback(address: Address) -> bool:
+    """Whether who listens at `address` can be reached from other machines."""
+    return not ipaddress.ip_address(address[0]).is_loopback
 
 
 def address_of(text: str) -> Address:
@@ -280,7 +286,7 @@ class Server:
         self.foreign = 0
         self._peer: Address | None = None
         self._session: int | None = None
-        self._ended: int | None = None  # the session before
+        self._ended: tuple[Address, int] | None = None  # the session before
         self._running = self._lockstep = False
         self._seen, self._applied, self._sent = 0, 0, 0  # sequence numbers: last one seen, last command, ours
         self._heard = 0.0
@@ -349,9 +355,9 @@ class Server:
             except ConnectionError:  # a peer that is gone, told by Windows
                 continue
             message = unpacked(data)
-            if message is not None and message.kind == STOP and message.session == self._ended:
+            if message is not None and message.kind == STOP and (peer, message.session) == self._ended:
                 self.socket.sendto(packed(STOPPED, message.session, 0), peer)  # which may have been lost
-            elif message is None or (message.kind != HELLO and message.session != self._session):
+            elif message is None or (message.kind != HELLO and (peer, message.session) != (self._peer, self._session)):
                 self.foreign += 1
             elif message.kind == HELLO:
                 self._hello(message, peer)
@@ -359,7 +365,7 @@ class Server:
                 self._handle(message)
 
     def _hello(self, message: Message, peer: Address) -> None:
-        if self._peer is not None and message.session != self._session:
+        if self._peer is not None and (peer, message.session) != (self._peer, self._session):
             text = f"the device is in use by {self._peer[0]}:{self._peer[1]}"
             self.socket.sendto(packed(REFUSED, message.session, 0, text.encode()), peer)
             return
@@ -437,6 +443,7 @@ class Server:
     def _end(self, why: str) -> None:
         self.say(why)
         self.board.close()
-        self._ended = self._session
+        if self._peer is not None and self._session is not None:
+            self._ended = self._peer, self._session
         self._peer, self._session, self._running, self._last = None, None, False, b""
         self.sessions += 1

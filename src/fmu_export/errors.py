@@ -21,7 +21,7 @@ class _Shown(reprlib.Repr):
         self.maxlist = self.maxtuple = self.maxdict = self.maxset = 4
         self.maxlevel = 3
 
-    def repr_int(self, x: int, _level: int) -> str:
+    def repr_int(self, x: int, level: int) -> str:
         return repr(x) if x.bit_length() <= _MOST_BITS else f"an integer of {x.bit_length()} bits"
 
 

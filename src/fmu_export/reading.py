@@ -8,6 +8,8 @@ from __future__ import annotations
 import codecs
 import json
 import math
+import os
+import stat
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
@@ -36,7 +38,9 @@ def first_bytes(path: Path, what: str, count: int) -> bytes:
     """Return the first `count` bytes of a file, or all there are; raises as `read_bytes`."""
     try:
         with path.open("rb") as file:
-            return file.read(count)
+            regular = os.fstat(file.fileno())
+            size = regular.st_size + 1 if stat.S_ISREG(regular.st_mode) else MOST_BYTES + 1  # a pipe never ends
+            return file.read(min(count, size))
     except FileNotFoundError:
         raise UserError(f"{what} file {path} does not exist") from None
     except OSError as error:

@@ -17,8 +17,9 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, shown
 from fmu_export.files import write_file
+from fmu_export.reading import parse_json, read_text
 
 from .certificate import Certificate, CertificateError, certify
 from .companion import chain_form, checked_system, weights
@@ -30,6 +31,8 @@ SOLVER_TIME = 120.0
 """Longest time for one semidefinite program [s]."""
 LOWEST_ALPHA = 1e-6
 """Smallest alpha that is tried for the largest feasible one, relative to the decay rate of the slowest pole."""
+LARGEST = 1e300
+"""Numbers of a file are smaller."""
 SCALES = (1e-9, 1e9)
 """Bounds on what scales the problem: beyond, neither the solver nor double precision resolves it."""
 SLACK = 1e-6
@@ -164,34 +167,52 @@ class Design:
 
         Raises UserError for text that is not a design, and CertificateError for one that proves nothing.
         """
-        try:
-            data = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise UserError(f"not JSON: {error}") from None
+        data = parse_json(text, "a design")
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             found = data.get("format") if isinstance(data, dict) else type(data).__name__
-            raise UserError(f"the format must be {FORMAT!r}, found {found!r}")
+            raise UserError(f"the format must be {FORMAT!r}, found {shown(found)}")
         names = {f.name for f in fields(cls) if f.init}
         given = {name: value for name, value in data.items() if name in names}
         missing = {"A", "b", "k_lin", "P", "mu", "alpha"} - given.keys()
         unknown = data.keys() - names - {"format", "derived"}
         if missing or unknown:
-            raise UserError(f"a design has missing {sorted(missing)} and unknown {sorted(unknown)} entries")
-        entries: dict[str, Any] = {n: np.array(v, float) if isinstance(v, list) else v for n, v in given.items()}
-        try:
-            return cls(**entries)
-        except TypeError as error:
-            raise UserError(f"an entry of the design is of the wrong type: {error}") from None
+            raise UserError(f"a design has missing {sorted(missing)} and unknown {shown(sorted(unknown))} entries")
+        return cls(**{name: _entry(name, value) for name, value in given.items()})
 
     @classmethod
     def load(cls, path: Path) -> Design:
         """Read a design file; errors name the file."""
         try:
-            return cls.from_json(path.read_text(encoding="utf-8"))
+            return cls.from_json(read_text(path, "design"))
         except CertificateError as error:
             raise CertificateError(f"{path}: {error}") from None
-        except ValueError as error:
+        except UserError as error:
             raise UserError(f"{path}: {error}") from None
+
+
+_LEVELS = {"A": 2, "P": 2, "b": 1, "k_lin": 1}
+"""Lists in lists that an entry of a file is; the others are numbers, and `method` a text."""
+
+
+def _entry(name: str, value: object) -> Any:
+    """Return an entry of a file in its type; raise UserError that names it."""
+    if name == "method":
+        if not isinstance(value, str):
+            raise UserError(f"method must be a text, found {shown(value)}")
+        return value
+    levels = _LEVELS.get(name, 0)
+    if not _is_numbers(value, levels):
+        kind = ("a number", "a list of numbers", "a list of rows of numbers, all of one length")[levels]
+        raise UserError(f"{name} must be {kind}, found {shown(value)}")
+    return np.array(value, dtype=float) if levels else value
+
+
+def _is_numbers(value: object, levels: int) -> bool:
+    if not levels:
+        return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < LARGEST
+    if not isinstance(value, list) or not all(_is_numbers(v, levels - 1) for v in value):
+        return False
+    return levels < 2 or len({len(row) for row in value}) <= 1
 
 
 def _plain(value: Any) -> Any:

@@ -143,7 +143,7 @@ def test_an_empty_file_is_a_scenario_of_defaults(written):
             "plant.parameters must be one of matrices, ident, hcs, listed, swapped or a file *.toml, found 'idnt'",
         ),
         ("[plant]\nmeasurement = 'none'", "plant.measurement must be 'encoders' or 'ideal', found 'none'"),
-        ("[plant]\nstart = 3", "plant.start must be a valid dictionary, found 3"),
+        ("[plant]\nstart = 3", "plant.start must be a table, found 3"),
         ("[disturbance]\ninput = 'voltage'", "disturbance.input must be 'disturbance_voltage' or 'pendulum_torque'"),
         ("[disturbance]\ngain = inf", "disturbance.gain must be a finite number, found inf"),
         ("[disturbance]\nsines = [{ amplitude = 1 }]", "disturbance.sines.0.frequency is required"),
@@ -226,7 +226,7 @@ def test_changes_replace_only_what_they_name():
         ("run.step", math.nan, "run.step must be a finite number, found nan"),
         ("run.duration", 0.0105, "duration must be a multiple of the step, found 0.0105 s and 0.001 s"),
         ("plant.parameters", "mine", "plant.parameters must be one of matrices"),
-        ("controller.start", 3, "controller.start must be a valid dictionary, found 3"),
+        ("controller.start", 3, "controller.start must be a table, found 3"),
     ],
 )
 def test_a_change_is_checked_as_the_file_is(path, value, problem):

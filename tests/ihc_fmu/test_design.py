@@ -303,9 +303,9 @@ def tampered(design, **changes):
         ({"P": ...}, r"missing \['P'\]"),
         ({"more": 1}, r"unknown \['more'\]"),
         ({"format": "qube-ihc design 2"}, "the format must be 'qube-ihc design 1', found 'qube-ihc design 2'"),
-        ({"alpha": "0.2"}, "wrong type"),
+        ({"alpha": "0.2"}, "alpha must be a number"),
         ({"b": [1.0, 2.0]}, "b must have 4 entries"),
-        ({"A": [[0.0, None], [0.0, 0.0]], "b": [0.0, 1.0]}, "must be finite"),
+        ({"A": [[0.0, None], [0.0, 0.0]], "b": [0.0, 1.0]}, "A must be a list of rows of numbers"),
     ],
 )
 def test_file_that_proves_nothing_is_refused_by_name(design, tmp_path, changes, message):

@@ -49,7 +49,21 @@ def test_the_limits_are_those_of_the_documented_table():
     assert math.degrees(limits.fall) == pytest.approx(20.0)
     assert limits.encoder_speed * MS > 78.0
     assert STALL_VOLTAGE == 5.0
-    assert len(fields(limits)) == 9
+    assert limits.longest_gap == 1.0
+    assert len(fields(limits)) == 10
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+@pytest.mark.parametrize("jump", [10**6, 1002, 0, -1, -(10**9)])
+def test_a_clock_that_jumps_is_a_fault_even_where_misses_are_allowed(jump, allowed):
+    """Also where the jump is to the end of the run, which it must not complete."""
+    guard = Guard(Limits(), MS, stop_on_misses=not allowed)
+    guard.check(Sample(tick=5), 0.0, math.pi, stabilizing=False)
+    action, reason = guard.check(Sample(tick=5 + jump), 0.0, math.pi, stabilizing=False)
+    assert (action, reason) == (
+        Action.STOP,
+        f"the device's clock is not to be believed: from period 5 to {5 + jump} at once",
+    )
 
 
 # Missed periods

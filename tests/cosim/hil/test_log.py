@@ -131,8 +131,8 @@ def test_extreme_values_are_kept(made):
     _, _, rows = read(log)
     assert (rows["arm"][0], rows["pendulum"][0]) == (-(2**62), 2**62)
     assert np.isnan(rows["current"][0])
-    assert np.signbit(rows["voltage"][0])
-    assert rows["norm"][0] == 5e-324
+    assert np.signbit(rows["controller.voltage"][0])
+    assert rows["controller.norm"][0] == 5e-324
 
 
 def test_a_log_without_rows_is_one(made):

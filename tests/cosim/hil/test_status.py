@@ -28,7 +28,7 @@ ROW = {
     "tachometer": 0.0,
     "applied_voltage": -2.5,
     "voltage": -2.5,
-    "mode": 3,
+    "controller.mode": 3,
 }
 
 
@@ -59,11 +59,11 @@ def test_the_line_says_it_all():
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"mode": 1}, "idle"),
-        ({"mode": 2}, "swing-up"),
-        ({"mode": 4}, "fault"),
-        ({"mode": 0}, "running"),
-        ({"mode": 9}, "running"),
+        ({"controller.mode": 1}, "idle"),
+        ({"controller.mode": 2}, "swing-up"),
+        ({"controller.mode": 4}, "fault"),
+        ({"controller.mode": 0}, "running"),
+        ({"controller.mode": 9}, "running"),
         ({"pendulum": 0}, "pendulum  -180.0°"),
         ({"pendulum": 1024 - 256}, "pendulum   -45.0°"),
         ({"first": 500, "rows": 1001}, "   1.00 s"),
@@ -100,7 +100,7 @@ def test_a_stall_alone_is_no_fault_and_another_clock_no_lateness():
 
 
 def test_a_controller_without_a_mode_has_a_line():
-    row = {k: v for k, v in ROW.items() if k != "mode"}
+    row = {k: v for k, v in ROW.items() if k != "controller.mode"}
     assert "running" in status.fitted(status.parts(row, 0, 1501, 1e-3), 500)
 
 

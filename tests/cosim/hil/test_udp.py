@@ -165,6 +165,42 @@ def test_foreign_messages_are_dropped_and_counted(serve, client):
     peer.end()
 
 
+def test_a_session_is_its_peers_and_nobody_elses(serve, client):
+    """Another address with the session's own number neither commands, nor locks the controller out, nor ends it."""
+    served = serve()
+    peer, thief = client(served.address), client(served.address)
+    peer.begin()
+    for kind, body in ((udp.COMMAND, COMMAND), (udp.START, udp.START_BODY.pack(MS, 1)), (udp.STOP, b"mine")):
+        thief.send(kind, 2**32 - 1, body)
+        assert thief.nothing()
+    assert (served.server.foreign, served.server.sessions, served.board.sample.tick) == (3, 0, 0)
+    thief.send(udp.HELLO, 1)
+    assert b"in use" in thief.receive().body
+    peer.send(udp.COMMAND, 3, COMMAND)
+    assert peer.measurement()[:2] == (3, 1)
+    peer.end(4)
+    thief.send(udp.STOP, 5, b"mine")
+    assert thief.nothing()
+    peer.send(udp.STOP, 5, b"again")
+    assert peer.receive().kind == udp.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("host", "beyond"), [("127.0.0.1", False), ("127.8.8.8", False), ("0.0.0.0", True), ("192.168.1.2", True)]
+)
+def test_who_listens_beyond_this_machine_is_known(host, beyond):
+    assert udp.beyond_loopback((host, 1)) is beyond
+
+
+def test_session_numbers_cannot_be_guessed(serve, monkeypatch):
+    monkeypatch.setattr(udp.secrets, "randbits", lambda bits: 2**bits - 5)
+    device = UdpDevice(serve().address, real_time=False)
+    device.open()
+    assert device._session == 2**32 - 5
+    device.safe_stop("done")
+    device.close()
+
+
 def test_a_command_is_applied_once_and_never_when_it_is_old(serve, client):
     served = serve()
     peer = client(served.address)

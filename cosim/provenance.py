@@ -1,0 +1,54 @@
+"""What a result says of itself, read from its metadata through a typed model; the file may come from anywhere."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, StrictInt, StrictStr
+
+from .names import PlainName
+from .results import Result
+from .typed import Positive, checked
+
+
+class _Part(BaseModel):
+    """Of the metadata only what is used is looked at; the rest is kept as it is."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True)
+
+
+class FmuUsed(_Part):
+    """An FMU of the run: its file's name, and the identity of its contents."""
+
+    file: PlainName
+    guid: StrictStr
+
+
+class PlantUsed(_Part):
+    """The plant in the scenario of the run."""
+
+    fmu: PlainName = "QubeServo2.fmu"
+    parameters: StrictStr | None = None
+
+
+class ScenarioUsed(_Part):
+    """The scenario of the run."""
+
+    name: StrictStr = "a run"
+    plant: PlantUsed = PlantUsed()
+
+
+class Provenance(_Part):
+    """How a result came about: step [s], order, every, FMUs, start values and messages by instance, wires, scenario."""
+
+    step: Positive | None = None
+    order: StrictStr | None = None
+    every: StrictInt | None = None
+    fmus: dict[str, FmuUsed] = {}
+    start_values: dict[str, dict[str, bool | int | float | str]] = {}
+    wires: list[tuple[StrictStr, StrictStr]] | None = None
+    messages: dict[str, list[StrictStr]] = {}
+    scenario: ScenarioUsed = ScenarioUsed()
+
+
+def provenance(result: Result) -> Provenance:
+    """Return how `result` came about; raise UserError where its metadata say it in another way than this program."""
+    return checked(Provenance, result.metadata, "the result's metadata")
