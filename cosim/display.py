@@ -336,6 +336,9 @@ def print_claims(claims: list[Claim]) -> None:
         if claim.main
     ]
     show_table("the paper's main claims", ("claim", "printed", "ours", "draws", "verdict"), rows, text=True)
-    colours = {"holds": "green", "does not hold": "red", "undecided": "yellow"}
-    counts = {verdict: sum(claim.verdict == verdict for claim in claims) for verdict in colours}
-    console.print("all claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
+    for name, some in (("all", claims), ("independent", [claim for claim in claims if claim.basis == "independent"])):
+        counts = {verdict: sum(claim.verdict == verdict for claim in some) for verdict in VERDICT_NAMES}
+        console.print(f"{name} claims: " + ", ".join(f"{count} {verdict}" for verdict, count in counts.items()))
+
+
+VERDICT_NAMES = ("holds", "does not hold", "undecided")

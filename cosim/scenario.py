@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from fmu_export.files import is_file
+from fmu_export.files import is_file, is_folder
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.interface import VELOCITY_SOURCES
@@ -211,7 +211,7 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
         if name in built_in_names():
             path = BUILT_IN / f"{name}.toml"
-        else:
+        elif not is_folder(path):
             raise UserError(f"no scenario file or built-in scenario {name!r}; built in: {', '.join(built_in_names())}")
     data = read_toml(path, "scenario")
     return _validated({"name": path.stem, **data}, str(path)), path.parent

@@ -1,7 +1,14 @@
-"""Write the tables of the documentation that are derived from the code: variables, scenarios' entries, faults."""
+"""Write the tables of the documentation that are derived: from the code, and with `--results FOLDER` from comparisons.
+
+    qube-ihc demo && qube-ihc compare disturbed && python docs/make_tables.py --results results
+
+The second needs `comparison.json` of each scenario that the README shows.
+"""
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
 import sys
 from pathlib import Path
@@ -9,7 +16,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from cosim.display import change_text, estimate_text
+from cosim.draws import Estimate
 from cosim.hil.faults import KINDS
+from cosim.metrics import QUANTITIES
 from cosim.scenario import Scenario
 from fmu_export.variables import Interface, Variable
 from ihc_fmu.interface import INTERFACE as CONTROLLER
@@ -18,6 +28,7 @@ from plant_fmu.interface import INTERFACE as PLANT
 from plant_fmu.interface import start_values as plant_start_values
 
 DOCS = Path(__file__).parent
+README = DOCS.parent / "README.md"
 START, END = "<!-- {}: made by docs/make_tables.py -->\n", "<!-- end -->"
 
 
@@ -81,10 +92,69 @@ def fault_kinds() -> str:
     return "\n".join(lines) + "\n"
 
 
+def metrics() -> str:
+    """Return the table of metrics: names in files and options, symbols, units."""
+    lines = ["| metric | unit | in files and options | |", "|---|---|---|---|"]
+    for q in QUANTITIES.values():
+        lines.append(f"| {_plain(q.symbol)} | {q.unit} | `{q.name}` | {_plain(q.meaning)} |")
+    return "\n".join(lines) + "\n"
+
+
+SHOWN = {
+    "tilt": ("encoders and velocity filter", "IHC, a_min 0.88 as in the paper"),
+    "tilt_kalman": ("encoders and Kalman filter", "IHC, a_min 0.5, exact norm, semi-implicit"),
+    "tilt_ideal": ("ideal sensors", "IHC, a_min 0.2"),
+    "disturbed": ("encoders, velocity filter, disturbance of G = 60", "IHC, a_min 0.88"),
+}
+"""The scenarios that the README shows: what is measured with, and which IHC it is."""
+
+COLUMNS = ("settling_time", "integral_q2", "steady_rms", "energy", "voltage_variation")
+
+
+def comparison(name: str, about: dict[str, Any]) -> str:
+    """Return the README's table of a comparison, from its comparison.json."""
+    chain, ihc = SHOWN[name]
+    count = about["draws"]
+    drawn = f", {count} draws" if count > 1 else ""
+    headings = [f"`{name}`: {chain}{drawn}", *(QUANTITIES[c].heading for c in COLUMNS)]
+    lines = [f"| {' | '.join(map(_plain, headings))} |", "|---" * len(headings) + "|"]
+
+    def estimate(pair: list[float | None]) -> Estimate:
+        return Estimate(*(math.nan if value is None else value for value in pair))
+
+    for law, found in about["laws"].items():
+        mark = "" if found["steady"] else "*"
+        cells = [
+            estimate_text(estimate(found[c]), QUANTITIES[c].text) + (mark if QUANTITIES[c].of_window else "")
+            for c in COLUMNS
+        ]
+        lines.append(f"| {ihc if law == 'IHC' else law} | {' | '.join(cells)} |")
+    for law, found in about["change"].items():
+        lines.append(f"| {law} over LC | {' | '.join(change_text(estimate(found[c])) for c in COLUMNS)} |")
+    return "\n".join(lines) + "\n"
+
+
+def readme(results: Path) -> str:
+    """Return the README's text with the tables of the comparisons in `results`."""
+    text = README.read_text(encoding="utf-8")
+    for name in SHOWN:
+        about = json.loads((results / name / "comparison.json").read_text(encoding="utf-8"))
+        text = _between(text, f"comparison {name}", comparison(name, about))
+    return text
+
+
+def _plain(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
 def _with_table(page: str, mark: str, table: str) -> str:
     """Return the page's text with the table between its marks."""
+    return _between((DOCS / page).read_text(encoding="utf-8"), mark, table)
+
+
+def _between(text: str, mark: str, table: str) -> str:
     start = START.format(mark)
-    head, rest = (DOCS / page).read_text(encoding="utf-8").split(start)
+    head, rest = text.split(start)
     return f"{head}{start}\n{table}\n{END}{rest.split(END, 1)[1]}"
 
 
@@ -92,14 +162,20 @@ def rendered() -> dict[Path, str]:
     """Return each file's whole text, as it should be."""
     return {
         DOCS / "variables.md": variables(),
-        DOCS / "cosimulation.md": _with_table("cosimulation.md", "scenario entries", scenario_entries()),
+        DOCS / "cosimulation.md": _between(
+            _with_table("cosimulation.md", "scenario entries", scenario_entries()), "metrics", metrics()
+        ),
         DOCS / "hil.md": _with_table("hil.md", "fault kinds", fault_kinds()),
     }
 
 
 def main() -> int:
     """Write the files."""
-    for path, text in rendered().items():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--results", type=Path, help="folder of the comparisons; none: the README stays as it is")
+    given = parser.parse_args()
+    files = rendered() | ({} if given.results is None else {README: readme(given.results)})
+    for path, text in files.items():
         path.write_text(text, encoding="utf-8")
         print(path.name)
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import shutil
 import signal
@@ -19,6 +20,7 @@ def pytest_configure(config) -> None:
         return
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", tempfile.gettempdir())  # pytest tidies its own folder
     config.stash[FOLDER] = Path(tempfile.mkdtemp(prefix="qube-ihc-tests-"))
+    atexit.register(shutil.rmtree, config.stash[FOLDER], ignore_errors=True)
     tempfile.tempdir = os.environ["TMPDIR"] = str(config.stash[FOLDER])  # of the workers and of their processes, too
 
 
@@ -31,7 +33,6 @@ def pytest_sessionfinish(session):
         return result
     left = [path.name for path in folder.iterdir()]
     running = using(folder)
-    shutil.rmtree(folder, ignore_errors=True)
     if left or running:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
         reporter = session.config.pluginmanager.get_plugin("terminalreporter")

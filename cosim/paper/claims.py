@@ -18,6 +18,14 @@ from .study import COMPARED, GAINS, REFERENCE, Key
 Found = Mapping[Key, Numbers]
 Verdict = Literal["holds", "does not hold", "undecided"]
 
+Basis = Literal["independent", "fitted", "repeats"]
+"""What a claim's verdict rests on: nothing else; the fits of the swing-up and of SMC1 to just that printed number; numbers
+that other claims judge already, as another reading of the same statement or their arithmetical consequence.
+"""
+
+FITTED_GAINS = {"IHC": (0,), "SMC1": (0, 60, 200)}
+"""Gains G at which a controller's margin over the LC was fitted; the LC's LMSE at G = 0 was too, and SMC1's energy there."""
+
 CONFIDENCE = 0.95
 
 RELATIVE = 0.5
@@ -68,7 +76,7 @@ class Claim:
     """One statement: what the paper says, its number, ours from the run without draws, and the verdict.
 
     `low`, `high`: between these ours must lie (both NaN: the share of draws decides). `runs`: the runs that ours is from.
-    `main`: one of the paper's main statements, shown first.
+    `main`: one of the paper's main statements, shown first. `basis`: what the verdict rests on.
     """
 
     section: str
@@ -81,6 +89,7 @@ class Claim:
     share: Share | None = None
     runs: tuple[Key, ...] = ()
     main: bool = False
+    basis: Basis = "independent"
 
     @property
     def verdict(self) -> Verdict:
@@ -187,6 +196,7 @@ class Judge:
                         values[law] - width,
                         values[law] + width,
                         runs=(self.key(variant, gain),),
+                        basis=_value_basis(variant, gain),
                     )
                 )
         for a, b in (("IHC", "LC"), ("IHC", "SMC"), ("SMC", "LC")):
@@ -202,9 +212,22 @@ class Judge:
         better, other = (one, two) if said < 0 else (two, one)
         share = self.share(better, other, "integral_q2", gain)
         main = two == "LC" and one == "IHC"
+        basis = _margin_basis(one, two, gain)
         return [
-            Claim(section, f"LMSE of {one} relative to {two}", said, ours, "%", low, high, runs=runs, main=main),
-            Claim(section, f"LMSE of {better} below {other}", said, ours, "%", share=share, runs=runs, main=main),
+            Claim(section, f"LMSE of {one} relative to {two}", said, ours, "%", low, high, None, runs, main, basis),
+            Claim(
+                section,
+                f"LMSE of {better} below {other}",
+                said,
+                ours,
+                "%",
+                math.nan,
+                math.nan,
+                share,
+                runs,
+                main,
+                basis,
+            ),
         ]
 
     def _energy(self) -> list[Claim]:
@@ -215,7 +238,8 @@ class Judge:
                 ours = margin(self.value("IHC", "energy"), self.value(other, "energy"))
                 runs = (self.key("IHC"), self.key(other))
                 text = f"energy of IHC relative to {other}"
-                found.append(Claim("Energy", text, 100 * said, ours, "%", low, high, runs=runs, main=True))
+                basis: Basis = "fitted" if other == "SMC1" else "independent"
+                found.append(Claim("Energy", text, 100 * said, ours, "%", low, high, None, runs, True, basis))
         runs = (self.key("IHC"), self.key("LC"))
         ours = margin(self.value("IHC", "energy"), self.value("LC", "energy"))
         share = self.share("IHC", "LC", "energy")
@@ -225,7 +249,8 @@ class Judge:
         for gain in GAINS[1:]:
             ours = margin(self.value("IHC", "energy", gain), self.value("LC", "energy", gain))
             runs = (self.key("IHC", gain), self.key("LC", gain))
-            found.append(Claim("Energy", f"IHC “similar” to LC at G = {gain:g}", 0.0, ours, "%", -5.0, 5.0, runs=runs))
+            text = f"IHC “similar” to LC at G = {gain:g}"
+            found.append(Claim("Energy", text, 0.0, ours, "%", -5.0, 5.0, runs=runs, basis=_at(gain)))
         return found
 
     def _steady_state(self) -> list[Claim]:
@@ -243,6 +268,7 @@ class Judge:
                 self._below("IHC", name, printed.SETTLED_BY),
                 (self.key("IHC"),),
                 main=True,
+                basis="repeats" if name == "settling_time" else "independent",
             )
             for name, tol in (("settling_wide", 0.1), ("settling_time", 0.02))
         ]
@@ -262,7 +288,11 @@ class Judge:
                     share = self.share("IHC", other, name)
                     text_of = f"IHC {text} than {other}"
                     main = other == "LC" and name != "settling_time"
-                    found.append(Claim(section, text_of, nan, ours, "%", share=share, runs=runs, main=main))
+                    again = other == "SMC2" or name == "settling_time"  # a second SMC, a second tolerance
+                    basis: Basis = "repeats" if again else "independent"
+                    found.append(
+                        Claim(section, text_of, nan, ours, "%", share=share, runs=runs, main=main, basis=basis)
+                    )
         return found
 
     def _below(self, variant: str, name: str, bound: float) -> Share:
@@ -281,20 +311,22 @@ class Judge:
                 runs = (self.key(variant, last), self.key(variant, first))
                 low, high = tolerance(said)
                 text = f"growth of LMSE of {variant} from G = {first:g} to {last:g}"
-                found.append(Claim(section, text, said, ours, "%", low, high, runs=runs))
+                basis: Basis = "fitted" if variant == "SMC1" else "repeats"
+                found.append(Claim(section, text, said, ours, "%", low, high, runs=runs, basis=basis))
         said = _ratio(*(printed.LMSE[gain][law] for law in ("IHC", "LC") for gain in (last, first)))
         ours = _ratio(*(self.value(law, "integral_q2", gain) for law in ("IHC", "LC") for gain in (last, first)))
         runs = tuple(self.key(law, gain) for law in ("IHC", "LC") for gain in (last, first))
         text = "growth of the IHC's LMSE as a share of the LC's"
         low, high = (1 - RELATIVE) * said, (1 + RELATIVE) * said
-        found.append(Claim(section, text, said, ours, "1", low, high, runs=runs, main=True))
+        found.append(Claim(section, text, said, ours, "1", low, high, runs=runs, main=True, basis="repeats"))
         found.append(self._linearity(section))
         for gain in GAINS[1:]:
             ours = margin(self.value("IHC", "steady_rms", gain), self.value("LC", "steady_rms", gain))
             share = self.share("IHC", "LC", "steady_rms", gain)
             runs = (self.key("IHC", gain), self.key("LC", gain))
             text = f"Figure 6: steady |q| of IHC below LC at G = {gain:g}"
-            found.append(Claim(section, text, math.nan, ours, "%", share=share, runs=runs, main=gain == GAINS[-1]))
+            main = gain == GAINS[-1]
+            found.append(Claim(section, text, math.nan, ours, "%", share=share, runs=runs, main=main, basis=_at(gain)))
         return found
 
     def _linearity(self, section: str) -> Claim:
@@ -305,7 +337,28 @@ class Judge:
         linear = (middle**2 - first**2) / (last**2 - first**2)
         text = f"growth of LC to G = {middle:g} as a share of that to {last:g} (a linear loop: {linear:.2f})"
         runs = tuple(self.key("LC", gain) for gain in (first, middle, last))
-        return Claim(section, text, said, ours, "1", (1 - RELATIVE) * said, (1 + RELATIVE) * said, runs=runs)
+        low, high = (1 - RELATIVE) * said, (1 + RELATIVE) * said
+        return Claim(section, text, said, ours, "1", low, high, runs=runs, basis="repeats")
+
+
+def _at(gain: float) -> Basis:
+    """G = 1 disturbs by 0.03 V at most, which is less than a count: its claims repeat those without a disturbance."""
+    return "repeats" if gain == GAINS[1] else "independent"
+
+
+def _value_basis(variant: str, gain: float) -> Basis:
+    """An LMSE other than the LC's is the LC's and the margin over it, which are judged by themselves."""
+    if variant == "LC":
+        return "fitted" if gain == 0 else _at(gain)
+    return "fitted" if gain in FITTED_GAINS.get(variant, ()) else "repeats"
+
+
+def _margin_basis(one: str, two: str, gain: float) -> Basis:
+    """A margin over an SMC is that over the LC and the SMC's over the LC."""
+    if two != "LC":
+        both = all(gain in FITTED_GAINS.get(law, ()) for law in (one, two))
+        return "fitted" if both else "repeats"
+    return "fitted" if gain in FITTED_GAINS.get(one, ()) else _at(gain)
 
 
 def _ratio(a_last: float, a_first: float, b_last: float, b_first: float) -> float:

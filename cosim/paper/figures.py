@@ -10,19 +10,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..campaign import counted
-from ..metrics import angle_norm
-from ..plots import COLOURS, angle, save_figure
+from ..metrics import QUANTITIES, angle_norm
+from ..plots import COLOURS, DELTA, OTHERS, THETA, Q, angle, save_figure
 from ..results import Result
 from . import printed
 from .claims import Found, Share, margin
 from .study import COMPARED, GAINS, Study
 from .variants import sweep_name
 
-PALETTE = {**COLOURS, "SMC1": COLOURS["SMC"], "SMC2": "#a6611a"}
+PALETTE = COLOURS
 ORDER = ("SMC1", "SMC2", "LC", "IHC")
 """In which curves are drawn: the last on top."""
 
-STEP_COLOURS = ("#542788", "#b35806", "#1b7837")
+STEP_COLOURS = OTHERS[:3]
 
 Pictures = Mapping[tuple[float, str], Result]
 """The reference runs by gain and controller."""
@@ -41,51 +41,63 @@ def save_all(folder: Path, pictures: Pictures, found: Found, study: Study, share
 
 
 def _figure_3(results: Mapping[str, Result]) -> Figure:
-    figure = Figure(figsize=(9, 8), layout="constrained")
-    top, bottom = figure.subplots(2, 1, sharex=True)
-    panels = ((top, _theta, "(a) arm $\\theta$ [rad]", 0.08), (bottom, _delta, "(b) pendulum $\\delta$ [rad]", 0.58))
-    for axis, signal, label, low in panels:
-        _curves(axis, results, signal)
-        _inset(axis, results, signal, (0.42, low, 0.56, 0.4))
-        axis.set_ylabel(label)
-    top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
-    bottom.set_xlabel("time [s]")
+    figure, panels = _panels(2, 8)
+    for row, signal, label in zip(panels, (_theta, _delta), ("(a) " + THETA, "(b) " + DELTA), strict=True):
+        _pair(row, results, signal, label)
+    _finish(figure, panels, results)
     return figure
 
 
 def _figure_4(results: Mapping[str, Result]) -> Figure:
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
-    axis = figure.subplots()
-    _curves(axis, results, angle_norm)
-    _inset(axis, results, angle_norm, (0.42, 0.35, 0.56, 0.5))
-    axis.axvline(printed.SETTLED_BY, color="0.5", lw=0.8, ls=":")
-    axis.set(xlabel="time [s]", ylabel="|q| [rad]")
-    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
+    figure, panels = _panels(1, 4.6)
+    _pair(panels[0], results, angle_norm, Q)
+    panels[0, 0].axvline(printed.SETTLED_BY, color="0.5", lw=0.8, ls=":")
+    _finish(figure, panels, results)
     return figure
 
 
 def _figure_5(results: Mapping[str, Result]) -> Figure:
-    figure = Figure(figsize=(9, 5.6), layout="constrained")
-    for axis, law in zip(figure.subplots(2, 1, sharex=True, sharey=True), ("LC", "IHC"), strict=True):
-        _curves(axis, {law: results[law]}, _voltage)
-        _inset(axis, {law: results[law]}, _voltage, (0.42, 0.62, 0.56, 0.34))
-        axis.set_ylabel(f"{law} [V]")
-    figure.axes[1].set_xlabel("time [s]")
+    figure, panels = _panels(2, 5.6)
+    for row, law in zip(panels, ("LC", "IHC"), strict=True):
+        _pair(row, {law: results[law]}, _voltage, f"{law}: V [V]")
+    _finish(figure, panels, {})
     return figure
 
 
 def _figure_6(pictures: Pictures) -> Figure:
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    axes = figure.subplots(len(GAINS) - 1, 1, sharex=True)
-    for axis, gain in zip(axes, GAINS[1:], strict=True):
+    figure, panels = _panels(len(GAINS) - 1, 9)
+    results = {}
+    for row, gain in zip(panels, GAINS[1:], strict=True):
         results = {law: pictures[gain, law] for law in ORDER}
-        _curves(axis, results, angle_norm)
-        axis.set_ylim(top=1.6 * axis.get_ylim()[1])
-        _inset(axis, results, angle_norm, (0.42, 0.42, 0.56, 0.54))
-        axis.set_ylabel(f"G = {gain:g}: |q| [rad]")
-    axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(ORDER), frameon=False)
-    axes[-1].set_xlabel("time [s]")
+        _pair(row, results, angle_norm, f"G = {gain:g}: {Q}")
+    _finish(figure, panels, results)
     return figure
+
+
+def _panels(rows: int, height: float) -> tuple[Figure, Any]:
+    """Return a figure and its panels: the run on the left, the window of the paper's insets on the right."""
+    figure = Figure(figsize=(11, height), layout="constrained")
+    return figure, figure.subplots(rows, 2, sharex="col", squeeze=False, width_ratios=[3, 2])
+
+
+def _pair(row: Sequence[Any], results: Mapping[str, Result], signal: Any, label: str) -> None:
+    for axis, (begin, end) in zip(row, ((-np.inf, np.inf), printed.WINDOW), strict=True):
+        for law, result in results.items():
+            shown = (result.time >= begin) & (result.time <= end)
+            axis.plot(result.time[shown], signal(result)[shown], color=PALETTE[law], lw=1.0, label=law)
+        axis.grid(alpha=0.3)
+        axis.margins(x=0)
+    row[0].set_ylabel(label)
+
+
+def _finish(figure: Figure, panels: Any, results: Mapping[str, Result]) -> None:
+    for axis in panels[-1]:
+        axis.set_xlabel("time [s]")
+    begin, end = printed.WINDOW
+    panels[0, 1].set_title(f"from {begin:g} to {end:g} s", fontsize="small")
+    if results:
+        panels[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(results), frameon=False)
+    figure.align_ylabels(panels[:, 0])
 
 
 def _theta(result: Result) -> np.ndarray:
@@ -98,23 +110,6 @@ def _delta(result: Result) -> np.ndarray:
 
 def _voltage(result: Result) -> np.ndarray:
     return result["controller.voltage"]
-
-
-def _curves(axis: Any, results: Mapping[str, Result], signal: Any) -> None:
-    for law, result in results.items():
-        axis.plot(result.time, signal(result), color=PALETTE[law], lw=1.0, label=law)
-    axis.grid(alpha=0.3)
-    axis.margins(x=0)
-
-
-def _inset(axis: Any, results: Mapping[str, Result], signal: Any, place: tuple[float, float, float, float]) -> None:
-    inset = axis.inset_axes(place)
-    for law, result in results.items():
-        shown = (result.time >= printed.WINDOW[0]) & (result.time <= printed.WINDOW[1])
-        inset.plot(result.time[shown], signal(result)[shown], color=PALETTE[law], lw=0.9)
-    inset.tick_params(labelsize="x-small")
-    inset.margins(x=0)
-    inset.grid(alpha=0.3)
 
 
 def _shares(shares: Sequence[tuple[str, Share]]) -> Figure:
@@ -150,8 +145,8 @@ def _chattering(found: Found, study: Study) -> Figure:
         panels[1, column].set_yscale("log")
         panels[1, column].set_xlabel("$a_{min}$ (1: the LC)")
     panels[0, 0].invert_xaxis()
-    panels[0, 0].set_ylabel("$\\int |q|^2 dt$ [rad² s]")
-    panels[1, 0].set_ylabel("voltage variation [V/s]")
+    panels[0, 0].set_ylabel(QUANTITIES["integral_q2"].heading)
+    panels[1, 0].set_ylabel(QUANTITIES["voltage_variation"].heading)
     panels[0, -1].legend(title="sample time", fontsize="small")
     return figure
 
@@ -174,7 +169,7 @@ def _swing_ups(found: Found) -> Figure:
     axis = figure.subplots()
     pairs = swing_up_pairs(found)
     near = [abs(lc["integral_q2"] / printed.LMSE[0]["LC"] - 1.0) < 0.1 for _, lc, _ in pairs]
-    for inside, colour, label in ((False, "0.7", "all"), (True, "#1b7837", "LMSE of the LC within 10 % of 11.23")):
+    for inside, colour, label in ((False, "0.7", "all"), (True, COLOURS["IHC"], "LMSE of the LC within 10 % of 11.23")):
         chosen = [pair for pair, flag in zip(pairs, near, strict=True) if flag is inside]
         x = [lc["arm_peak"] for _, lc, _ in chosen]
         y = [margin(ihc["integral_q2"], lc["integral_q2"]) for _, lc, ihc in chosen]

@@ -178,8 +178,8 @@ def _sections(
         ),
         Section(
             "Figure 3",
-            "From hanging down, with the insets from 5 to 7 s. The two sliding mode controllers stand for the paper's one, "
-            "whose gains it does not print.",
+            "From hanging down; beside it the window of the paper's insets, 5 to 7 s. The two sliding mode controllers "
+            "stand for the paper's one, whose gains it does not print.",
             ["figure_3.png"],
         ),
         Section("Figure 4", "The dotted line is at the 4 s of the paper's text.", ["figure_4.png"]),
@@ -249,6 +249,8 @@ def _page(
         images=images,
         claims=claims,
         counts=Counter(claim.verdict for claim in claims),
+        independent=Counter(claim.verdict for claim in claims if claim.basis == "independent"),
+        **{basis: sum(claim.basis == basis for claim in claims) for basis in ("fitted", "repeats")},
         runs_of={(claim.section, claim.text): [scenario_name(key) for key in claim.runs] for claim in claims},
         scenarios=scenarios,
         variants=study.variants.values(),

@@ -13,6 +13,7 @@ import numpy as np
 
 from fmu_export.files import write_file
 
+from ..metrics import QUANTITIES
 from . import printed
 from .claims import LAWS, Claim, Found, Judge, Share, Theory, by_cell, compare, margin
 from .figures import sweep_median, sweep_runs, swing_up_pairs
@@ -30,6 +31,11 @@ class Column:
     heading: str
     name: str
     digits: int = 4
+
+
+def _metric(name: str) -> Column:
+    """Return the column of a metric."""
+    return Column(QUANTITIES[name].heading, name)
 
 
 @dataclass(frozen=True)
@@ -93,12 +99,20 @@ def claims_table(claims: Sequence[Claim], name: str = "claims", title: str = "Ev
         Column("holds if", "rule"),
         Column("draws", "draws"),
         Column("verdict", "verdict"),
+        Column("rests on", "basis"),
     )
     rows = [
-        [c.section, c.text, c.printed, c.ours, c.unit, c.rule, None if c.share is None else str(c.share), c.verdict]
+        [
+            *(c.section, c.text, c.printed, c.ours, c.unit, c.rule),
+            *(None if c.share is None else str(c.share), c.verdict, c.basis),
+        ]
         for c in claims
     ]
-    note = "Ours is the run without draws at the paper's step; the draws are those of the same conditions."
+    note = (
+        "Ours is the run without draws at the paper's step; the draws are those of the same conditions. A verdict that is "
+        "“fitted” is no evidence: the swing-up or SMC1 was fitted to that number; one that “repeats” judges numbers that "
+        "others judge already."
+    )
     return Table(name, title, note, columns, rows)
 
 
@@ -160,7 +174,7 @@ def energy_table(judge: Judge) -> Table:
     columns = (
         Column("G", "gain"),
         Column("controller", "controller"),
-        Column("∫V² dt [V² s]", "energy"),
+        _metric("energy"),
         Column("printed: IHC over it [%]", "printed_ihc_over", 3),
         Column("ours: IHC over it [%]", "ours_ihc_over", 3),
         Column("after the capture [V² s]", "energy_after_capture"),
@@ -183,12 +197,12 @@ def beyond_table(judge: Judge) -> Table:
     columns = (
         Column("G", "gain"),
         Column("controller", "controller"),
-        Column("∫|q|² dt [rad² s]", "integral_q2"),
-        Column("steady RMS |q| [rad]", "steady_rms"),
+        _metric("integral_q2"),
+        _metric("steady_rms"),
         Column("settles to 0.1 rad [s]", "settling_wide"),
         Column("settles to 0.02 rad [s]", "settling_time"),
-        Column("∫V² dt [V² s]", "energy"),
-        Column("variation [V/s]", "voltage_variation"),
+        _metric("energy"),
+        _metric("voltage_variation"),
     )
     names = [column.name for column in columns[2:]]
     variants = list(dict.fromkeys(key.variant for key in judge.found if key.experiment == "reference"))
@@ -343,11 +357,11 @@ def chattering_table(found: Found, study: Study) -> Table:
         Column("IHC", "chain"),
         Column("h [ms]", "step_ms"),
         Column("a_min", "a_min"),
-        Column("∫|q|² dt [rad² s]", "integral_q2"),
-        Column("steady RMS |q| [rad]", "steady_rms"),
-        Column("variation [V/s]", "voltage_variation"),
+        _metric("integral_q2"),
+        _metric("steady_rms"),
+        _metric("voltage_variation"),
         Column("over the LC [1]", "over_lc", 3),
-        Column("energy [V² s]", "energy"),
+        _metric("energy"),
     )
     chains = dict.fromkeys(variant.about.removeprefix("IHC ") for variant in study.sweep.values())
     names = ("integral_q2", "steady_rms", "voltage_variation")
@@ -371,8 +385,8 @@ def gains_tables(theory: Theory, runs: Mapping[str, Mapping[str, float]]) -> tup
     """Return what the printed k and the printed P do in each reading; `runs` by the readings' names."""
     run_columns = (
         Column("upright after 10 s", "kept"),
-        Column("steady RMS |q| [rad]", "steady_rms"),
-        Column("∫V² dt [V² s]", "energy"),
+        _metric("steady_rms"),
+        _metric("energy"),
     )
     names = [column.name for column in run_columns]
 

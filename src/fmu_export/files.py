@@ -98,6 +98,14 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def is_folder(path: Path) -> bool:
+    """Return whether `path` is a folder, as `is_file` does."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 @contextmanager
 def uninterrupted() -> Iterator[None]:
     """Put Ctrl-C off until the block has ended; in threads, which it does not reach, do nothing."""

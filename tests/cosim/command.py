@@ -13,10 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
-from cosim import cli
+from cosim import cli, display
 
 PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 """The environment for plain text in stdout and stderr."""
+
+for console in (display.console, display.problems):
+    console.width = int(PLAIN["COLUMNS"])  # they have read the environment already
 
 HANDLED = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 
@@ -37,8 +40,7 @@ def journal_rows(path):
 def ended(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run the command line in this process as `qube-ihc` does; return how it ended and what it said.
 
-    What the operating system or the interpreter does at the end of a process, an uncaught exception's traceback for one, is
-    not there: such an exception ends the test.
+    What the operating system does at the end of a process is not there; what `main` does is, a fault's exit code 70 for one.
     """
     out, err = io.StringIO(), io.StringIO()
     with _place(args, cwd), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -47,7 +49,7 @@ def ended(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
             code = 0
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else int(end.code is not None)
-    return subprocess.CompletedProcess(args, code, out.getvalue(), err.getvalue())
+    return subprocess.CompletedProcess([*map(str, args)], code, out.getvalue(), err.getvalue())
 
 
 @contextlib.contextmanager

@@ -305,7 +305,7 @@ digests = st.text("0123456789abcdef", min_size=32, max_size=32)
 kept_numbers = st.dictionaries(st.text(), st.floats(allow_nan=True, allow_infinity=True))
 
 
-@settings(max_examples=25)
+@settings(max_examples=20, deadline=None)
 @given(kept=st.dictionaries(digests, kept_numbers, max_size=8))
 def test_numbers_come_back_to_the_last_bit(tmp_path_factory, kept):
     path = tmp_path_factory.getbasetemp() / "numbers" / "journal"

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from cosim.fmu import describe
-from cosim.metrics import evaluate
+from cosim.metrics import QUANTITIES, evaluate
 from cosim.results import Result
 from ihc_fmu.design import Design
 from ihc_fmu.sliding_mode import linear_pole_smc
@@ -98,8 +98,9 @@ def test_design_export_run_compare(tmp_path):
     assert (len(result.time), result.metadata["complete"], result.metadata["messages"]) == (301, True, {})
     assert result.metadata["scenario"]["run"]["seed"] == 7
     for name, value in evaluate(result).as_dict().items():
-        expected = "never" if math.isnan(value) else f"{value:.4g}"
-        assert re.search(rf"^  {name} +{re.escape(expected)}( |$)", said, re.MULTILINE), name
+        q = QUANTITIES[name]
+        assert re.search(rf"^  {re.escape(q.symbol)} +{re.escape(q.text(value))}( |\\*|$)", said, re.MULTILINE), name
+    assert "* no steady state can be told: the run is shorter than 3 s" in said
 
     options = ("--draws", "1", "--laws", "IHC, LC", "--workers", "1", "-o", "compared")
     said = accepted("compare", "tilt", *SHORT, *options, cwd=tmp_path)
@@ -107,9 +108,12 @@ def test_design_export_run_compare(tmp_path):
     tables = ["IHC.csv", "IHC.json", "LC.csv", "LC.json", "comparison.csv", "comparison.json"]
     assert files(tmp_path / "compared" / "tilt") == sorted([*tables, *pictures])
     rows = list(csv.DictReader((tmp_path / "compared" / "tilt" / "comparison.csv").open(encoding="utf-8")))
-    assert [(row["law"], row["seed"]) for row in rows] == [("IHC", "1"), ("LC", "1")]
-    for row in rows:
-        assert re.search(rf"│ {row['law']} +│ +never │ +{float(row['integral_q2']):.4g} │", said)
+    assert [(row["law"], row["draw"]) for row in rows] == [("IHC", "1"), ("LC", "1")]
+    assert re.search(r"│ settling \[s\] +│ +never │ +never │", said)
+    assert re.search(
+        r"│ ∫\|q\|² dt \[rad² s\] +│ +" + " │ +".join(f"{float(r['integral_q2']):.4g}" for r in rows), said
+    )
+    assert "* not steady: |q| of IHC, LC has a trend over the last 3 s, or the run is shorter" in said
 
 
 def test_results_are_compared_side_by_side(elsewhere):
@@ -122,7 +126,7 @@ def test_results_are_compared_side_by_side(elsewhere):
     ]
     energies = [evaluate(Result.load(elsewhere / f"{name}.csv")).energy for name in ("first", "second")]
     assert energies[0] != energies[1]
-    assert re.search(rf"energy \[V\^2 s\] +│ +{energies[0]:.4g} │ +{energies[1]:.4g} │", said)
+    assert re.search(rf"∫V² dt \[V² s\] +│ +{energies[0]:.4g} │ +{energies[1]:.4g} │", said)
 
 
 def test_a_run_is_the_same_again_and_knows_where_to_write(elsewhere):

@@ -9,26 +9,26 @@ import math
 import numpy as np
 import pytest
 
+from cosim.draws import drawn
 from cosim.errors import UserError
-from cosim.experiments import Comparison, Draw, Study, compare
+from cosim.experiments import SHOWN, Comparison, Draw, Study, compare
 from cosim.master import SimulationError
 from cosim.metrics import NAMES, Metrics, evaluate
 from cosim.results import Result
 from cosim.scenario import Scenario, load_scenario, run_scenario
 
-SEEDS = (3, 8)
 FILTER = {"controller.start.velocity_source": "filter"}
 
 
 @pytest.fixture(scope="session")
 def study():
     scenario, folder = load_scenario("tilt")
-    return Study(scenario.changed({"run.duration": 0.3, "plant.start.noise_std": 1e-4}), folder, SEEDS)
+    return Study(scenario.changed({"run.duration": 0.3, "plant.start.noise_std": 1e-4}), folder, 2)
 
 
 @pytest.fixture(scope="session")
 def compared(study, fmus):
-    """Two laws, two seeds, two threads; and what the progress said."""
+    """Two laws, two draws, two threads; and what the progress said."""
     seen = []
     (comparison,) = compare([study], fmus, ("LC", "IHC"), 2, lambda *counts: seen.append(counts))
     return comparison, seen
@@ -36,11 +36,10 @@ def compared(study, fmus):
 
 @pytest.fixture(scope="session")
 def single_runs(study, fmus):
-    def run(law, seed):
-        changed = study.scenario.changed({"controller.start.law": law, "run.seed": seed})
-        return run_scenario(changed, fmus, study.folder)
+    def run(law, number):
+        return run_scenario(drawn(study.scenario, number).changed({"controller.start.law": law}), fmus, study.folder)
 
-    return {(law, seed): run(law, seed) for law in ("LC", "IHC") for seed in SEEDS}
+    return {(law, number): run(law, number) for law in ("LC", "IHC") for number in (1, 2)}
 
 
 # The machinery
@@ -48,76 +47,128 @@ def single_runs(study, fmus):
 
 def test_a_comparison_equals_single_runs(compared, single_runs, same):
     comparison, seen = compared
-    assert {(d.law, d.seed): d.metrics.as_dict() for d in comparison.draws} == {
+    assert {(d.law, d.number): d.metrics.as_dict() for d in comparison.draws} == {
         key: pytest.approx(evaluate(result).as_dict(), rel=0, abs=0, nan_ok=True) for key, result in single_runs.items()
     }
+    typical = sorted((d for d in comparison.draws if d.law == "LC"), key=lambda d: d.metrics.steady_rms)[1].number
     for law, result in comparison.results.items():
-        same(result, single_runs[law, result.metadata["scenario"]["run"]["seed"]])
+        same(result, single_runs[law, typical])
     assert seen == [(k, 4) for k in (1, 2, 3, 4)]
 
 
-def test_all_laws_see_the_same_measurement_and_the_typical_draw_is_the_first_laws(compared):
+def test_all_laws_see_the_same_measurement(compared):
     comparison, _ = compared
     starts = [result.metadata["start_values"]["plant"] for result in comparison.results.values()]
     assert starts[0] == starts[1]
     assert {"theta_encoder_offset", "delta_encoder_offset", "noise_seed"} <= starts[0].keys()
-    first = sorted((d for d in comparison.draws if d.law == "LC"), key=lambda d: d.metrics.steady_rms)
-    assert comparison.results["IHC"].metadata["scenario"]["run"]["seed"] == first[1].seed
     laws = [result.metadata["start_values"]["controller"]["law"] for result in comparison.results.values()]
     assert laws == [1, 3]
 
 
-def test_without_seeds_a_scenario_runs_once_as_it_stands(study, fmus, same):
+def test_without_draws_a_scenario_runs_once_as_it_stands(study, fmus, same):
     (comparison,) = compare([Study(study.scenario, study.folder)], fmus, ("SMC",), 1)
-    assert [(d.law, d.seed) for d in comparison.draws] == [("SMC", None)]
+    assert [(d.law, d.number) for d in comparison.draws] == [("SMC", None)]
     alone = run_scenario(study.scenario.changed({"controller.start.law": "SMC"}), fmus, study.folder)
     same(comparison.results["SMC"], alone)
 
 
+def test_metrics_are_of_every_row_whatever_the_scenario_records(study, fmus, compared):
+    thinned = Study(study.scenario.changed({"record.every": 7}), study.folder, 1)
+    (comparison,) = compare([thinned], fmus, ("LC",), 1)
+    assert comparison.draws[0].metrics.energy == compared[0].of_law["LC"][1].metrics.energy
+    assert len(comparison.results["LC"].time) < 60
+
+
 def test_what_a_run_refuses_the_comparison_refuses(study, fmus):
-    wrong = Study(study.scenario.changed({"controller.start.a_min": -1.0}), study.folder, SEEDS)
+    wrong = Study(study.scenario.changed({"controller.start.a_min": -1.0}), study.folder, 2)
     with pytest.raises(UserError, match=r"controller\.a_min must lie in"):
         compare([wrong], fmus, ("LC",), 1)
 
 
-def draws(law, *settling, captures=1):
-    return [Draw(law, seed, Metrics(t, 1.0, 0.1, 2.0, 3.0, 4.0, t, captures)) for seed, t in enumerate(settling)]
+def draws(law, *settling, kept=(), rms=0.1, steady=1.0):
+    """Draws of a law that settle when given and keep the pendulum, those in `kept` aside, which say it themselves."""
+    kept = dict(enumerate(kept, start=1))
+    return [
+        Draw(law, n, kept.get(n, True), Metrics(t, 1.0, rms * n, steady, 2.0 + n, 3.0, 4.0, 0.001, 1))
+        for n, t in enumerate(settling, start=1)
+    ]
+
+
+def comparison_of(*of_laws):
+    return Comparison(Scenario(), tuple(draw for of_law in of_laws for draw in of_law), {})
+
+
+NEVER = math.nan
 
 
 @pytest.mark.parametrize(
-    ("settling", "median"),
-    [
-        ((3.0, 1.0, 2.0), 2.0),
-        ((4.0, 1.0, 2.0, 3.0), 2.5),
-        ((math.nan, 1.0, 2.0), 2.0),
-        ((math.nan, math.nan, 2.0), math.nan),
-        ((math.nan, math.nan, 1.0, 2.0), math.nan),
-        ((math.nan,), math.nan),
-    ],
+    ("settling", "value"),
+    [((3.0, 1.0, 2.0), 2.0), ((NEVER, 1.0, 1.0), 4.0), ((NEVER, NEVER, 2.0, 2.0), 6.0), ((NEVER,), NEVER)],
 )
-def test_a_draw_that_never_settles_counts_as_infinitely_late(settling, median):
-    comparison = Comparison(Scenario(), tuple(draws("LC", *settling) + draws("IHC", 9.0)), {})
-    assert comparison.median("LC", "settling_time") == pytest.approx(median, nan_ok=True)
-    assert comparison.median("IHC", "settling_time") == 9.0
-    assert comparison.median("LC", "energy") == 2.0
+def test_a_draw_that_never_settles_counts_the_runs_duration(settling, value):
+    found = comparison_of(draws("LC", *settling))
+    assert found.value("LC", "settling_time").value == pytest.approx(value, nan_ok=True)
+    said = "never settled, counted as 10 s: LC" in " ".join(found.remarks())
+    assert said == (len(settling) > 1 and any(map(math.isnan, settling)))
+
+
+def test_the_steady_state_is_a_root_mean_square_and_energy_a_mean():
+    found = comparison_of(draws("LC", 1.0, 1.0, 1.0))
+    assert found.value("LC", "steady_rms").value == pytest.approx(0.1 * math.sqrt(14 / 3))
+    assert found.value("LC", "energy").value == 4.0
+
+
+def test_a_lost_pendulum_is_counted_and_not_averaged():
+    found = comparison_of(draws("LC", 1.0, 2.0, 3.0, kept=(True, False)), draws("IHC", 4.0, 5.0, 9.0, kept=(False,)))
+    assert (found.kept("LC"), found.value("LC", "settling_time").value) == (2, 2.0)
+    assert found.change("IHC", "LC", "settling_time").value == pytest.approx(2.0)  # the third draw alone
+    assert found.remarks() == ["pendulum lost, and not in the means unless in all draws: LC 1, IHC 1 of 3"]
+    lost = comparison_of(draws("LC", 1.0, 2.0, kept=(False, False)))
+    assert (lost.kept("LC"), lost.value("LC", "settling_time").value) == (0, 1.5)
+
+
+@pytest.mark.parametrize(("trend", "steady"), [(1.0, True), (2.5, False), (math.nan, False)])
+def test_without_a_steady_state_none_is_compared_and_the_reader_is_told(trend, steady):
+    found = comparison_of(draws("LC", 1.0, 1.0), draws("IHC", 1.0, 1.0, rms=0.05, steady=trend))
+    assert [found.steady(law) for law in ("LC", "IHC")] == [True, steady]
+    for name in ("steady_rms", "voltage_variation"):
+        assert math.isnan(found.change("IHC", "LC", name).value) != steady
+    assert not math.isnan(found.change("IHC", "LC", "energy").value)
+    assert any("* not steady: |q| of IHC has a trend" in remark for remark in found.remarks()) != steady
+
+
+def test_a_quarter_of_the_draws_may_look_unsteady_by_chance():
+    many = draws("LC", *[1.0] * 8)
+    for loose, steady in ((2, True), (3, False)):
+        mixed = [dataclasses.replace(d, metrics=dataclasses.replace(d.metrics, steady_trend=2.0)) for d in many[:loose]]
+        assert comparison_of([*mixed, *many[loose:]]).steady("LC") == steady
+
+
+def test_zero_is_not_compared_with_zero():
+    found = comparison_of(draws("LC", 1.0, 1.0, rms=1e-5), draws("IHC", 1.0, 1.0, rms=1e-18))
+    assert math.isnan(found.change("IHC", "LC", "steady_rms").value)
 
 
 def test_saved_tables_are_read_back_exactly(compared, tmp_path, same):
     comparison, _ = compared
     comparison.save(tmp_path)
     rows = list(csv.DictReader((tmp_path / "comparison.csv").open(encoding="utf-8")))
-    assert [(r["law"], int(r["seed"])) for r in rows] == [(d.law, d.seed) for d in comparison.draws]
+    assert [(r["law"], int(r["draw"]), r["kept"]) for r in rows] == [(d.law, d.number, "1") for d in comparison.draws]
     for row, draw in zip(rows, comparison.draws, strict=True):
         expected = [draw.metrics.as_dict()[n] for n in NAMES]
         np.testing.assert_array_equal([float(row[n]) for n in NAMES], expected)
+        start = drawn(comparison.scenario, draw.number).plant.start
+        assert all(float(row[name]) == start[name] for name in ("theta_encoder_offset", "delta_encoder_offset"))
     about = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert about["draws"] == 2
     assert Scenario.model_validate(about["scenario"]) == comparison.scenario
     for law, result in comparison.results.items():
         same(Result.load(tmp_path / f"{law}.csv"), result)
-        for name in NAMES:
-            value = comparison.median(law, name)
-            assert about["median"][law][name] == (None if math.isnan(value) else value)
+        for name in SHOWN:
+            found = comparison.value(law, name)
+            expected = [None if math.isnan(v) else v for v in (found.value, found.half_width)]
+            assert about["laws"][law][name] == expected
+    assert about["laws"]["LC"]["settling_time"] == [None, None]
 
 
 def test_a_comparison_names_its_files_and_leaves_nothing_of_an_earlier_one(compared, tmp_path):
@@ -142,14 +193,6 @@ def test_a_comparison_names_its_files_and_leaves_nothing_of_an_earlier_one(compa
     assert all(hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() == d for name, d in about["files"].items())
     left = sorted(path.name for path in tmp_path.iterdir())
     assert left == sorted([*expected, "comparison.json", "LC.csv", "mine.csv"])  # LC.json is gone, what is mine is not
-
-
-def test_never_is_null_in_the_table_of_medians(made_result, tmp_path):
-    result = made_result([0.0, 1.0])
-    Comparison(Scenario(), tuple(draws("LC", math.nan)), {"LC": result}).save(tmp_path)
-    about = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
-    assert (about["median"]["LC"]["settling_time"], about["median"]["LC"]["energy"]) == (None, 2.0)
-    assert "LC,0,nan,1.0" in (tmp_path / "comparison.csv").read_text(encoding="utf-8")
 
 
 # What the laws do
@@ -189,7 +232,7 @@ def test_with_encoders_and_filter_the_homogeneous_law_rests_closer_to_upright(sw
 
 
 def test_a_run_that_fails_in_a_worker_fails_the_comparison_with_its_cause(study, fmus):
-    wrong = Study(study.scenario.changed({"controller.start.sample_time": 0.0015}), study.folder, SEEDS)
+    wrong = Study(study.scenario.changed({"controller.start.sample_time": 0.0015}), study.folder, 2)
     with pytest.raises(SimulationError, match="sample_time must be a multiple of the communication step") as failure:
         compare([wrong], fmus, ("LC",), 1)
     assert (failure.value.instance, failure.value.time, len(failure.value.result.time)) == ("controller", 0.0, 1)

@@ -6,9 +6,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from cosim.errors import UserError
-from cosim.metrics import NAMES, STABILIZING, angle_norm, evaluate, settling_time, wrapped
+from cosim.metrics import (
+    NAMES,
+    PARTS,
+    QUANTITIES,
+    STABILIZING,
+    TREND_T,
+    ZERO,
+    angle_norm,
+    evaluate,
+    settling_time,
+    trend,
+    unsteady,
+    wrapped,
+)
 from cosim.results import Result
 from ihc_fmu.interface import MODES
 
@@ -83,6 +97,73 @@ def test_tolerance_and_steady_state_are_parameters(made_result):
     assert math.isnan(evaluate(result, tolerance=0.005).settling_time)
     assert evaluate(result, steady=0.5).steady_rms == pytest.approx(0.01)
     assert evaluate(result, steady=100.0).steady_rms == pytest.approx(math.sqrt(0.9 * 0.01 + 0.1 * 1e-4), rel=1e-3)
+
+
+# The steady state
+
+PHASE = 2 * math.pi * np.random.default_rng(1).random(8)
+HUNTING = sum(np.sin(w * TIME + p) for w, p in zip((2.1, 3.3, 4.7, 6.1, 9.2, 13.0, 21.0, 35.0), PHASE, strict=True))
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.3, 1.12, 5.0, -0.3, -1.12])
+def test_an_exponential_is_a_trend_of_its_closed_form(rate):
+    assert trend(TIME, 0.1 * np.exp(-rate * (TIME - 8.5))) == pytest.approx(math.exp(1.5 * rate), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("q", "steady"),
+    [
+        (np.full(len(TIME), 0.01), True),
+        (0.01 * np.exp(-0.05 * TIME), True),  # 8 % from half to half: too small to matter
+        (np.zeros(len(TIME)), True),
+        (ZERO * np.exp(-5.0 * (TIME - 7.0)), True),  # decays where it counts as zero
+        (ZERO * np.exp(-2000.0 * TIME), True),  # underflows
+        (0.01 * np.abs(np.sin(3.0 * TIME)), True),
+        (np.abs(HUNTING), True),
+        (np.abs(HUNTING) * np.exp(-0.5 * TIME), False),
+        (np.where(TIME < 7.2, 0.1, 0.01), False),  # ends inside the window
+        (np.where(TIME < 9.0, 0.0, 0.1), False),
+        (0.01 + 0.1 * np.exp(-(TIME - 7.0)), False),
+    ],
+)
+def test_a_window_with_a_trend_is_no_steady_state(made_result, q, steady):
+    found = evaluate(made_result(TIME, q))
+    assert found.steady == steady
+    assert (unsteady(found) == "") == steady
+
+
+def test_noise_is_taken_for_a_trend_as_rarely_as_students_t_says():
+    assert pytest.approx(stats.t.ppf(0.99, PARTS - 2), abs=5e-4) == TREND_T
+    rng, time = np.random.default_rng(1), np.arange(0.0, 3.01, 0.05)
+    flagged = sum(trend(time, np.abs(rng.standard_normal(len(time)))) != 1.0 for _ in range(1000))
+    assert flagged < 40
+
+
+@pytest.mark.parametrize(
+    ("time", "q"), [(np.arange(0.0, 2.9, 0.01), 0.1), (np.arange(0.0, 9.0, 0.5), 0.1), (TIME, math.nan)]
+)
+def test_a_steady_state_cannot_be_told_of_too_little(made_result, time, q):
+    found = evaluate(made_result(time, q))
+    assert math.isnan(found.steady_trend)
+    assert not found.steady
+    assert unsteady(found).startswith("no steady state can be told")
+
+
+def test_chattering_is_not_told_of_a_result_without_every_row(made_result):
+    result = made_result(TIME[::10], controller_voltage=1.0)
+    result.metadata["step"] = 1e-3
+    assert math.isnan(evaluate(result).voltage_variation)
+    result.metadata["step"] = 1e-2
+    assert evaluate(result).voltage_variation == 0.0
+
+
+def test_every_metric_has_a_symbol_of_its_own():
+    assert tuple(QUANTITIES) == NAMES
+    assert len({q.symbol for q in QUANTITIES.values()}) == len(NAMES)
+    texts = [
+        QUANTITIES[n].text(v) for n, v in (("settling_time", math.nan), ("energy", math.nan), ("steady_rms", 1e-9))
+    ]
+    assert texts == ["never", "–", "< 0.0002"]
 
 
 @pytest.mark.parametrize(

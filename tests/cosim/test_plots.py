@@ -12,7 +12,16 @@ from matplotlib.figure import Figure
 
 from cosim import plots
 from cosim.errors import UserError
-from cosim.plots import MODE_COLOURS, MODE_NAMES, mode_spans, save_comparison, save_figure, save_overview
+from cosim.plots import (
+    COLOURS,
+    MODE_COLOURS,
+    MODE_NAMES,
+    colours,
+    mode_spans,
+    save_comparison,
+    save_figure,
+    save_overview,
+)
 from cosim.results import Result
 from ihc_fmu.interface import MODES
 
@@ -24,7 +33,7 @@ def swing(made_result):
     """A made-up swing-up: the pendulum turns, is captured at 1 s, and the voltage switches."""
     mode = np.where(TIME < 1.0, 2, 3)
     voltage = 3.0 * np.sign(np.sin(9 * TIME))
-    norm = np.exp(-3 * TIME) * (TIME > 0.0)  # 0 at first: a logarithmic axis needs a floor
+    norm = np.exp(-3 * TIME) * (TIME > 0.0)  # 0 at first, which a logarithmic axis cannot show
     return made_result(
         TIME,
         np.sin(TIME),
@@ -120,7 +129,7 @@ def test_no_line_crosses_a_jump_from_pi_to_minus_pi(swing, figures):
     before = swing["plant.delta"].copy()
     save_overview(swing, plots.Path("run.png"), "title")
     save_comparison({"IHC": swing}, plots.Path(), "title")
-    curves = [figures["run"].axes[1].lines[0], figures["angles"].axes[1].lines[0]]
+    curves = [figures["run"].axes[1].lines[0], figures["angles"].axes[2].lines[0]]
     for curve in curves:
         drawn = np.asarray(curve.get_ydata())
         expected = np.remainder(swing["plant.delta"] + np.pi, 2 * np.pi) - np.pi
@@ -134,7 +143,7 @@ def test_no_line_crosses_a_jump_from_pi_to_minus_pi(swing, figures):
 def test_held_voltages_are_drawn_as_steps_up_to_their_row(swing, figures):
     save_overview(swing, plots.Path("run.png"), "title")
     save_comparison({"LC": swing}, plots.Path(), "title")
-    for curve in (figures["run"].axes[2].lines[0], figures["voltage"].axes[0].lines[0]):
+    for curve in (figures["run"].axes[3].lines[0], figures["voltage"].axes[0].lines[0]):
         assert curve.get_drawstyle() == "steps-pre"
         assert np.asarray(curve.get_ydata()).tolist() == swing["controller.voltage"].tolist()
 
@@ -149,6 +158,42 @@ def test_every_law_has_a_curve_and_a_row_of_modes(swing, figures, made_result):
     assert len(ribbon.collections) == len(mode_spans(swing)) + 1
     assert [label.get_text() for label in ribbon.get_yticklabels()] == ["LC", "IHC"]
     assert (np.asarray(figures["norm"].axes[0].lines[1].get_ydata()) == 0.1).all()
+
+
+def test_nothing_is_clipped_and_a_zero_is_marked(swing, figures, made_result):
+    """A law that converges to 1e-18 is drawn down to there; the axis holds all that is drawn."""
+    save_comparison({"LC": swing, "IHC": made_result(TIME, 0.1 * np.exp(-20.0 * TIME))}, plots.Path(), "title")
+    axis = figures["norm"].axes[0]
+    curve = np.asarray(axis.lines[1].get_ydata())
+    np.testing.assert_array_equal(curve, 0.1 * np.exp(-20.0 * TIME))
+    assert axis.get_ylim()[0] < curve.min()
+    norm = figures["homogeneous_norm"].axes[0]
+    drawn = np.asarray(norm.lines[0].get_ydata())
+    np.testing.assert_array_equal(np.isnan(drawn), swing["controller.homogeneous_norm"] == 0.0)
+    assert [line.get_marker() for line in norm.lines].count("v") == 1
+    assert [text.get_text() for text in norm.texts] == ["▾ 0"]
+
+
+def test_the_end_has_a_panel_of_its_own_and_covers_nothing(swing, figures):
+    save_comparison({"LC": swing, "IHC": swing}, plots.Path(), "title")
+    for name in ("angles", "norm", "voltage", "homogeneous_norm"):
+        assert all(axis.child_axes == [] for axis in figures[name].axes)
+        assert all((legend := axis.get_legend()) is None or not legend.get_frame_on() for axis in figures[name].axes)
+    whole, end = (np.asarray(figures["angles"].axes[i].lines[0].get_xdata()) for i in (0, 1))
+    assert (whole[0], end[0], end[-1]) == (0.0, pytest.approx(1.2), 2.0)
+
+
+def test_a_law_has_its_colour_everywhere_and_other_names_have_others(swing, figures):
+    assert colours(["IHC", "first", "LC", "second"]) | COLOURS == {
+        **COLOURS,
+        "first": plots.OTHERS[0],
+        "second": plots.OTHERS[1],
+    }
+    assert not set(plots.OTHERS) & set(COLOURS.values())
+    for number, law in enumerate(("LC", "SMC", "IHC"), start=1):
+        swing.metadata["start_values"] = {"controller": {"law": number}}
+        save_overview(swing, plots.Path("run.png"), "title")
+        assert figures["run"].axes[0].lines[0].get_color() == COLOURS[law]
 
 
 def test_encoders_are_drawn_where_the_true_angles_are_missing(made_result, figures):

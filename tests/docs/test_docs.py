@@ -9,7 +9,10 @@ import pytest
 import typer.main
 
 from cosim.cli import app
-from cosim.scenario import Scenario
+from cosim.experiments import Study, compare
+from cosim.export import export_units
+from cosim.scenario import Scenario, load_scenario
+from ihc_fmu.start_values import default_design
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -35,6 +38,41 @@ def test_derived_tables_are_current():
         assert all(float(a) == pytest.approx(float(b), rel=1e-3) for a, b in numbers), (
             f"{path.name}: run docs/make_tables.py"
         )
+
+
+def cells(line):
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+
+
+@pytest.mark.parametrize("name", ["tilt", "tilt_kalman", "tilt_ideal", "disturbed"])
+def test_the_readmes_comparisons_have_the_form_that_make_tables_gives_them(name):
+    """The numbers of many draws are made by hand with `make_tables.py --results`; their form is tested."""
+    tables = load_make_tables()
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = page.split(tables.START.format(f"comparison {name}"))[1].split(tables.END)[0].strip().splitlines()
+    pair = [1.0, 0.1] if name != "tilt_ideal" else [1.0, None]
+    numbers = dict.fromkeys(tables.COLUMNS, pair)
+    laws = {law: {**numbers, "steady": True} for law in ("LC", "SMC", "IHC")}
+    about = {"draws": 1 if name == "tilt_ideal" else 32, "laws": laws, "change": dict.fromkeys(("SMC", "IHC"), numbers)}
+    expected = tables.comparison(name, about).strip().splitlines()
+    assert [cells(line)[0] for line in found] == [cells(line)[0] for line in expected]
+    assert cells(found[0]) == cells(expected[0])
+    shown = r"[<×+-]? ?[\d.e+-]+( ± [\d.]+)?( %)?( (better|worse|open))?\*?|never|–|equal"
+    assert all(re.fullmatch(shown, cell) for line in found[2:] for cell in cells(line)[1:])
+
+
+def test_the_readme_says_what_the_laws_do_without_sensors(tmp_path):
+    export_units(default_design(), output=tmp_path)
+    scenario, folder = load_scenario("tilt_ideal")
+    (found,) = compare([Study(scenario, folder)], tmp_path)
+    tables = load_make_tables()
+    rows = tables.comparison("tilt_ideal", found.about()).splitlines()[2:5]
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    for row in rows:
+        name, *values = cells(row)
+        (said,) = [cells(line) for line in page.splitlines() if line.startswith(f"| {name} |") and "< 0.0002" in line]
+        for value, old in list(zip(values, said[1:], strict=True))[:4]:
+            assert value == old or float(value) == pytest.approx(float(old), rel=1e-2), name
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)

@@ -395,16 +395,10 @@ def test_replay_is_exact(tmp_path, fmus, run):
 
 
 def test_replay_finds_one_digit(tmp_path, fmus, run):
-    with run.open(encoding="utf-8", newline="") as file:
-        head, *rows = csv.reader(file)
-    column = head.index("controller.voltage")
-    row = next(i for i in range(700, 3000) if re.fullmatch(r"-?\d\.\d{9,}", rows[i][column]))
-    text = rows[row][column]
-    rows[row][column] = f"{text[:5]}{(int(text[5]) + 1) % 10}{text[6:]}"
-    changed = tmp_path / "changed.csv"
-    with changed.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([head, *rows])
-    changed.with_suffix(".json").write_bytes(run.with_suffix(".json").read_bytes())
+    result, changed, row = Result.load(run), tmp_path / "changed.csv", 700
+    voltage = result["controller.voltage"]
+    voltage[row] = np.nextafter(voltage[row], 20.0)
+    result.save(changed)
     done = ended("replay", changed, "--fmus", fmus, cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert re.match(rf"not exact: 1 of 300\d rows differ, the first at {row / 1000:g} s: voltage is ", done.stdout)

@@ -1,0 +1,94 @@
+"""Tables: whole at any width; numbers with the digits that their interval leaves; "better" only where it is decided."""
+
+import math
+import re
+
+import pytest
+from rich.console import Console
+
+from cosim import display
+from cosim.display import change_text, estimate_text, print_claims, print_comparison, print_results, show_table
+from cosim.draws import Estimate
+from cosim.experiments import SHOWN, Comparison, Draw
+from cosim.metrics import QUANTITIES, Metrics
+from cosim.paper.claims import Claim
+from cosim.scenario import Scenario
+
+WIDTHS = (200, 80, 60, 40)
+
+
+@pytest.fixture
+def shown(monkeypatch, capsys):
+    """Call a function with a terminal of some width; return what it prints."""
+
+    def show(width, function, *arguments):
+        monkeypatch.setattr(display, "console", Console(width=width))
+        capsys.readouterr()
+        function(*arguments)
+        return capsys.readouterr().out
+
+    return show
+
+
+def cells_of(text):
+    return {cell.strip() for line in text.splitlines() for cell in re.split(r"  +|[│┃]", line)}
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_a_comparison_shows_every_number_at_every_width(shown, width):
+    metrics = [Metrics(2.0 + n, 0.01, 0.0123 + 0.001 * n, 1.0, 0.7, 3.258, 36.1, 0.001, 1) for n in range(3)]
+    draws = tuple(Draw(law, n, True, m) for law in ("LC", "SMC", "IHC") for n, m in enumerate(metrics, start=1))
+    comparison = Comparison(Scenario(), draws, {})
+    text = shown(width, print_comparison, comparison)
+    assert max(map(len, text.splitlines())) <= width
+    rows = [*display.comparison_rows(comparison), *display.change_rows(comparison)]
+    assert {cell for row in rows for cell in row} <= cells_of(text)
+    assert len(rows) == 2 * len(SHOWN)
+    assert ("settling [s]\n  LC" in text) == (width <= 60)
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_results_side_by_side_and_claims_lose_no_cell(shown, made_result, width):
+    results = {name: made_result([0.0, 1.0], 0.01) for name in ("a run", "another run", "a third one")}
+    text = shown(width, print_results, results)
+    assert {q.heading for q in QUANTITIES.values()} <= cells_of(text)
+    assert text.count("0.01*") == 3
+    claim = Claim("Table I", "LMSE of IHC relative to LC", -1.514, -1.47, "%", -2.5, -0.5, main=True)
+    text = shown(width, print_claims, [claim])
+    assert {"-1.514 %", "-1.47 %", "holds"} <= cells_of(text)
+
+
+def test_markup_in_a_name_is_text(shown):
+    assert "[red]x[/red]" in shown(80, show_table, "[bold]", ["", "[red]x[/red]"], [["a", "[/]"]])
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (5.944, 0.97, "5.9 ± 1.0"),
+        (0.012512, 0.00038, "0.0125 ± 0.0004"),
+        (0.012512, 0.00014, "0.01251 ± 0.00014"),
+        (1858.2, 15.2, "1858 ± 15"),
+        (1858.2, 0.0, "1858"),
+        (0.5, math.nan, "0.5"),
+        (math.nan, math.nan, "never"),
+    ],
+)
+def test_a_mean_has_the_digits_that_its_interval_leaves(value, half, text):
+    assert estimate_text(Estimate(value, half), QUANTITIES["settling_time"].text) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"),
+    [
+        (-0.209, 0.041, "-21 ± 4 % better"),
+        (0.09, 0.11, "+9 ± 11 % open"),
+        (0.645, 0.002, "+64.5 ± 0.2 % worse"),
+        (25.94, 0.48, "× 26.9 ± 0.5 worse"),
+        (0.0, 0.0, "equal"),
+        (-0.58, math.nan, "-58 %"),
+        (math.nan, math.nan, "–"),
+    ],
+)
+def test_a_change_is_called_better_only_where_its_interval_decides(value, half, text):
+    assert change_text(Estimate(value, half)) == text
