@@ -24,7 +24,7 @@ class Law:
         self.A, self.b = rng.normal(size=(n, n)), rng.normal(size=n)
         form = chain_form(self.A, self.b)
         self.Phi: Any = form.Phi
-        self.row = form.row
+        self.row: Any = form.row
         self.kz: Any = -np.poly(-np.arange(1.0, n + 1))[:0:-1]
         self.k = self.kz @ self.Phi
         self.k_lin = self.k - self.row
@@ -105,7 +105,8 @@ def test_norm_and_controls_are_those_of_the_authors_toolbox(hcs_cases, name):
     k_lin: Any = np.array(case["Klin"])
     form = chain_form(case["A"], case["B"])
     kz: Any = np.linalg.solve(form.Phi.T, k_lin + form.row)
-    row_z: Any = np.linalg.solve(form.Phi.T, form.row)
+    row: Any = form.row
+    row_z: Any = np.linalg.solve(form.Phi.T, row)
     Pz = homogeneity.to_chain(form.Phi.tolist(), case["P"])
     assert len(case["vectors"]) == 100
     for v in case["vectors"]:
@@ -116,8 +117,8 @@ def test_norm_and_controls_are_those_of_the_authors_toolbox(hcs_cases, name):
         clamped = min(1.0, max(0.3, r))
         found = (
             r,
-            laws.implicit_homogeneous(k_lin, form.row, kz, mu, r, x, z),
-            laws.implicit_homogeneous(k_lin, form.row, kz, mu, clamped, x, z),
+            laws.implicit_homogeneous(k_lin, row, kz, mu, r, x, z),
+            laws.implicit_homogeneous(k_lin, row, kz, mu, clamped, x, z),
             laws.implicit_homogeneous_semi(kz, row_z, mu, clamped, 1e-3, z),
         )
         expected = [v[key] for key in ("hnorm", "u_e_hpc", "u_e_hpc_clamp_0.3_1", "u_si_hpc_h1e-3_clamp_0.3_1")]
