@@ -175,6 +175,14 @@ def export(
             "none: this machine's. Others are compiled now, which the first time takes minutes."
         ),
     ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT.OUTPUT,...",
+            help="Outputs of the FMUs, separated by commas, for tools that take every output for a real number; the others "
+            "become local variables. None: all are outputs.",
+        ),
+    ] = None,
 ) -> None:
     """Export plant and controller as FMUs (FMI 2.0), and both with their wires as one SSP file.
 
@@ -193,8 +201,9 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
+    shown = None if outputs is None else [name.strip() for name in outputs.split(",")]
     with console.status("building") if names else nullcontext():
-        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names)
+        paths = export_units(found, parameters, nominal, output, changes, smc, kind, names, shown)
     for path in paths:
         console.print(f"wrote {path}")
 

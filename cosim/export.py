@@ -7,7 +7,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .errors import UserError
+
 if TYPE_CHECKING:
+    from fmu_export.variables import Interface
     from ihc_fmu.design import Design
 
 
@@ -34,13 +37,14 @@ def export_units(
     smc: Smc = Smc.fitted,
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
 ) -> list[Path]:
     """Write QubeServo2.fmu, IhcController.fmu and QubeWithController.ssp to the folder `output`; return their paths.
 
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
     that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` as in
-    `export_native_fmu`. Raises
-    ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
+    `export_native_fmu`; `outputs` names the outputs that stay such, as plant.VARIABLE or controller.VARIABLE, None: all.
+    Raises ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
     """
     from fmu_export.native_fmu import export_native_fmu
     from fmu_export.python_fmu import export_python_fmu
@@ -58,6 +62,7 @@ def export_units(
     from .parameter_files import chosen
     from .scenario import WIRES
 
+    wires = [(w.source, w.target) for w in WIRES["encoders"]]
     plant_set, nominal_set = chosen(parameters), chosen(nominal)
     changes = {"plant": {}, "controller": {}, **(changes or {})}
     A, b, k_lin = design.A, design.b, design.k_lin
@@ -73,14 +78,34 @@ def export_units(
     )
     for native, _, start, _ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
+    kept = _kept_outputs(outputs, {"plant": PLANT.interface, "controller": CONTROLLER.interface}, wires)
     paths = []
-    for native, slave, start, notes in plans:
+    for (native, slave, start, notes), shown in zip(plans, kept, strict=True):
         path = output / f"{native.interface.name}.fmu"
         if kind is Kind.native:
-            paths.append(export_native_fmu(native, path, start, notes, platforms))
+            paths.append(export_native_fmu(native, path, start, notes, platforms, shown))
         else:
-            paths.append(export_python_fmu(slave, path, start, notes))
+            paths.append(export_python_fmu(slave, path, start, notes, shown))
     plant, controller = paths
-    wires = [(w.source, w.target) for w in WIRES["encoders"]]
     system = write_ssp(output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires)
     return [plant, controller, system]
+
+
+def _kept_outputs(
+    names: Sequence[str] | None, interfaces: Mapping[str, Interface], wires: Sequence[tuple[str, str]]
+) -> list[list[str] | None]:
+    """Return per unit the outputs that stay such, None for all; raise UserError for others or without a wire's source."""
+    if names is None:
+        return [None for _ in interfaces]
+    for source, _ in wires:
+        if source not in names:
+            raise UserError(f"--outputs must name {source}, which a wire begins at")
+    kept: dict[str, list[str]] = {unit: [] for unit in interfaces}
+    for name in names:
+        unit, _, variable = name.partition(".")
+        if unit not in kept:
+            raise UserError(f"--outputs must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
+        kept[unit].append(variable)
+    for unit, variables in kept.items():
+        interfaces[unit].exposing(variables)  # refuses what is no output
+    return list(kept.values())

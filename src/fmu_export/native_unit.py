@@ -64,8 +64,8 @@ def unit_files(unit: NativeUnit) -> dict[str, bytes]:
 
 def model_header(interface: Interface) -> str:
     """Return the header with the unit's name, with which FMI wants the functions of a source FMU to begin."""
-    return f"""/* Generated: the name of this unit. In shared libraries the functions of FMI have their plain names, for which an importer
- * defines FMI2_OVERRIDE_FUNCTION_PREFIX (FMI 2.0.5, section 2.1.1).
+    return f"""/* Generated: the name of this unit. A shared library has the plain names of FMI: compile it with
+ * FMI2_OVERRIDE_FUNCTION_PREFIX (FMI 2.0.5, section 2.1.1).
  */
 #ifndef FMU_MODEL_H
 #define FMU_MODEL_H

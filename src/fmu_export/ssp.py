@@ -8,26 +8,37 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from .archive import write_zip
-from .model_description import UNITS
+from .errors import UserError
+from .units import base_units
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
 
 
 def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iterable[tuple[str, str]]) -> Path:
     """Write the SSP `path` of the FMU files `components` by instance name and the `wires`; return `path`.
 
     A wire is (output, input), each as `instance.variable`. All outputs become connectors, and those inputs that a wire
-    ends at; other inputs keep their start values. The same files give the same bytes.
+    ends at; other inputs keep their start values. An annotation gives OMSimulator its master: fixed steps, as long as the
+    FMUs that cannot vary theirs want. The same files give the same bytes. Raises UserError for a wire from what is no output
+    or to what is no input.
     """
     ends = [(*a.split("."), *b.split(".")) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
+    ET.register_namespace("oms", OMS)
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0")
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}
     units: set[str] = set()
+    enumerations: dict[str, ET.Element] = {}
+    descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
+    for a, x, b, y in ends:
+        for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
+            if descriptions[owner].find(f"*/ScalarVariable[@name='{variable}'][@causality='{causality}']") is None:
+                raise UserError(f"the wire {a}.{x} -> {b}.{y} needs the {causality} {owner}.{variable}")
     for instance, fmu in components.items():
         source = f"resources/{fmu.name}"
         files[source] = fmu.read_bytes()
@@ -35,12 +46,15 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
             elements, f"{{{SSD}}}Component", name=instance, type="application/x-fmu-sharedlibrary", source=source
         )
         wired = {variable for _, _, owner, variable in ends if owner == instance}
-        units |= _add_connectors(component, fmu, wired)
+        units |= _add_connectors(component, instance, descriptions[instance], wired, enumerations)
     connections = ET.SubElement(system, f"{{{SSD}}}Connections")
     for a, x, b, y in ends:
         ET.SubElement(
             connections, f"{{{SSD}}}Connection", startElement=a, startConnector=x, endElement=b, endConnector=y
         )
+    _add_master(system, min(_steps(descriptions.values())))
+    if enumerations:
+        ET.SubElement(root, f"{{{SSD}}}Enumerations").extend(enumerations.values())
     _add_units(root, units)
     ET.indent(root)
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
@@ -48,10 +62,44 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     return path
 
 
-def _add_connectors(component: ET.Element, fmu: Path, wired: set[str]) -> set[str]:
-    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
+def _description(fmu: Path) -> ET.Element:
     with zipfile.ZipFile(fmu) as archive:
-        description = ET.fromstring(archive.read("modelDescription.xml"))
+        return ET.fromstring(archive.read("modelDescription.xml"))
+
+
+def _steps(descriptions: Iterable[ET.Element]) -> list[float]:
+    """Return the step sizes [s] that the FMUs want which cannot vary theirs; where all can, those of all."""
+    steps: dict[bool, list[float]] = {False: [], True: []}
+    for root in descriptions:
+        free = root.find("CoSimulation[@canHandleVariableCommunicationStepSize='true']") is not None
+        experiment = root.find("DefaultExperiment")
+        steps[free].append(float("nan" if experiment is None else experiment.get("stepSize", "nan")))
+    return steps[False] or steps[True]
+
+
+def _add_master(system: ET.Element, step: float) -> None:
+    """Add what OMSimulator wants to know of its master; other tools ignore it."""
+    annotations = ET.SubElement(system, f"{{{SSD}}}Annotations")
+    annotation = ET.SubElement(annotations, f"{{{SSC}}}Annotation", type="org.openmodelica")
+    information = ET.SubElement(ET.SubElement(annotation, f"{{{OMS}}}Annotations"), f"{{{OMS}}}SimulationInformation")
+    ET.SubElement(
+        information,
+        f"{{{OMS}}}FixedStepMaster",
+        description="oms-ma",
+        stepSize=repr(step),
+        absoluteTolerance="1e-4",
+        relativeTolerance="1e-4",
+    )
+
+
+def _add_connectors(
+    component: ET.Element,
+    instance: str,
+    description: ET.Element,
+    wired: set[str],
+    enumerations: dict[str, ET.Element],
+) -> set[str]:
+    """Add the FMU's outputs and wired inputs as connectors; collect their enumerations and return their units."""
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
@@ -60,17 +108,27 @@ def _add_connectors(component: ET.Element, fmu: Path, wired: set[str]) -> set[st
             continue
         connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", name=name, kind=kind)
         declared = variable[0]
-        unit = declared.get("unit")
+        own = ET.SubElement(connector, f"{{{SSC}}}{declared.tag}")
+        unit, declared_type = declared.get("unit"), declared.get("declaredType")
         if declared.tag == "Real" and unit is not None:
-            ET.SubElement(connector, f"{{{SSC}}}Real", unit=unit)
+            own.set("unit", unit)
             units.add(unit)
-        else:  # an enumeration's items stay in its FMU
-            ET.SubElement(connector, f"{{{SSC}}}{declared.tag.replace('Enumeration', 'Integer')}")
+        elif declared.tag == "Enumeration":
+            own.set("name", f"{instance}_{declared_type}")
+            enumerations[f"{instance}_{declared_type}"] = _enumeration(description, instance, declared_type)
     return units
+
+
+def _enumeration(description: ET.Element, instance: str, declared_type: str | None) -> ET.Element:
+    """Return an FMU's enumeration type as one of the system."""
+    found = ET.Element(f"{{{SSC}}}Enumeration", name=f"{instance}_{declared_type}")
+    for item in description.iterfind(f"TypeDefinitions/SimpleType[@name='{declared_type}']/Enumeration/Item"):
+        ET.SubElement(found, f"{{{SSC}}}Item", name=item.get("name", ""), value=item.get("value", ""))
+    return found
 
 
 def _add_units(root: ET.Element, units: set[str]) -> None:
     definitions = ET.SubElement(root, f"{{{SSD}}}Units")
     for name in sorted(units):
         unit = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name)
-        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in UNITS[name].items()})
+        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
