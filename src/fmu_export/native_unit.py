@@ -87,7 +87,7 @@ def variable_table(unit: NativeUnit) -> str:
     arrays = _arrays(unit.interface)
     lines = [
         f"/* Generated from the interface of {unit.interface.name}: its variables, in the order of their references. */",
-        "#include <math.h>",
+        "#include <float.h>",
         "",
         "static const fmu_variable VARIABLES[] = {",
         *(f"    {_entry(unit, v, arrays)}," for v in unit.interface.variables),
@@ -152,8 +152,9 @@ def _limits(variable: Variable) -> tuple[float, float]:
 
 
 def _number(value: float) -> str:
+    """Return the C literal, for no bound the largest number: INFINITY is no constant expression for every compiler."""
     if value in (float("inf"), float("-inf")):
-        return "INFINITY" if value > 0 else "-INFINITY"
+        return "DBL_MAX" if value > 0 else "-DBL_MAX"
     return repr(float(value))
 
 

@@ -105,7 +105,16 @@ class Native:
     MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 
     def __init__(
-        self, folder, kind=CO_SIMULATION, *, guid: str | None = "", location: str | None = "", name="unit", logging=True
+        self,
+        folder,
+        kind=CO_SIMULATION,
+        *,
+        guid: str | None = "",
+        location: str | None = "",
+        name="unit",
+        logging=True,
+        library: str | None = None,
+        mode=ctypes.DEFAULT_MODE,
     ) -> None:
         folder = Path(folder)
         self.description = description(str(folder))
@@ -113,7 +122,7 @@ class Native:
         self.output_names = [v.name for v in self.description.modelVariables if v.causality in ("output", "local")]
         self.kind = kind
         self.log: list[tuple[int, str, str]] = []
-        self.library = ctypes.CDLL(str(next(folder.glob("binaries/*/*.*"))))
+        self.library = ctypes.CDLL(library or str(next(folder.glob("binaries/*/*.*"))), mode)
         for function, signature in SIGNATURES.items():
             entry = getattr(self.library, f"fmi2{function}")
             entry.argtypes = [ctypes.c_void_p, *(C_TYPES[letter] for letter in signature)]
