@@ -44,7 +44,8 @@ def export_units(
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
     that hold them; `changes` to start values are given per unit, "plant" and "controller". `platforms` as in
     `export_native_fmu`; `outputs` names the outputs that stay such, as plant.VARIABLE or controller.VARIABLE, None: all.
-    Raises ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or compiler.
+    Raises ValueError for what cannot be exported, before anything is written, and BuildError for a missing binary or
+    compiler.
     """
     from fmu_export.native_fmu import export_native_fmu
     from fmu_export.python_fmu import export_python_fmu
