@@ -116,13 +116,13 @@ def another(variable, value, rng):
 
 
 def guess(interface, start, rng):
-    """Return start values at random about those given, with encoders so fine that little shows."""
+    """Return start values at random about those given, with encoders fine and coarse, so that all shows."""
     values = {}
     for v in interface.variables:
         if v.start is not None:
             again = v.type == "Real" or (v.type != "Integer" and rng.random() < 0.5)
             values[v.name] = another(v, start[v.name], rng) if again else start[v.name]
-    fine = {"encoder_counts": 2**30, "measurement_delay": 0.0}
+    fine = {"encoder_counts": rng.choice((2**30, 64)), "measurement_delay": 0.0}
     return values | {name: value for name, value in fine.items() if name in values}
 
 
@@ -137,10 +137,11 @@ def test_initial_unknowns_depend_on_what_changes_them_and_on_nothing_else(name, 
             unit.initialize(0.0, inputs)
         except UserError:
             return None
-        return dict(zip(declared, unit.outputs(), strict=True))
+        found = dict(zip(declared, unit.outputs(), strict=True))
+        return found if all(map(math.isfinite, found.values())) else None
 
     found = {output: set() for output in declared}
-    for _ in range(12):
+    for _ in range(60):
         values = guess(interface, start[name], rng)
         before = outputs(values)
         for v in interface.variables:
@@ -150,7 +151,7 @@ def test_initial_unknowns_depend_on_what_changes_them_and_on_nothing_else(name, 
             for output in declared if after is not None else ():
                 if after[output] != before[output]:
                     found[output].add(v.name)
-    assert found == declared
+    assert {name: found[name] ^ declared[name] for name in declared} == {name: set() for name in declared}
     initial = unknowns(fmus[name], "InitialUnknowns")
     assert initial == {v.name: declared[v.name] for v in interface.of("output")}
     native = unknowns(native_fmus[name], "InitialUnknowns")
@@ -212,8 +213,8 @@ def test_what_is_no_unit_is_refused(unit):
 
 
 MODELICA = """algorithm and annotation block break class connect connector constant constrainedby der discrete each else
-elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for function if import impure in
-initial inner input loop model not operator or outer output package parameter partial protected public pure record
+elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for function if import
+impure in initial inner input loop model not operator or outer output package parameter partial protected public pure record
 redeclare replaceable return stream then true type when while within"""
 
 
