@@ -33,7 +33,6 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}
     units: set[str] = set()
-    enumerations: dict[str, ET.Element] = {}
     descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
     for a, x, b, y in ends:
         for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
@@ -46,15 +45,13 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
             elements, f"{{{SSD}}}Component", name=instance, type="application/x-fmu-sharedlibrary", source=source
         )
         wired = {variable for _, _, owner, variable in ends if owner == instance}
-        units |= _add_connectors(component, instance, descriptions[instance], wired, enumerations)
+        units |= _add_connectors(component, descriptions[instance], wired)
     connections = ET.SubElement(system, f"{{{SSD}}}Connections")
     for a, x, b, y in ends:
         ET.SubElement(
             connections, f"{{{SSD}}}Connection", startElement=a, startConnector=x, endElement=b, endConnector=y
         )
     _add_master(system, min(_steps(descriptions.values())))
-    if enumerations:
-        ET.SubElement(root, f"{{{SSD}}}Enumerations").extend(enumerations.values())
     _add_units(root, units)
     ET.indent(root)
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
@@ -92,14 +89,8 @@ def _add_master(system: ET.Element, step: float) -> None:
     )
 
 
-def _add_connectors(
-    component: ET.Element,
-    instance: str,
-    description: ET.Element,
-    wired: set[str],
-    enumerations: dict[str, ET.Element],
-) -> set[str]:
-    """Add the FMU's outputs and wired inputs as connectors; collect their enumerations and return their units."""
+def _add_connectors(component: ET.Element, description: ET.Element, wired: set[str]) -> set[str]:
+    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
@@ -108,23 +99,13 @@ def _add_connectors(
             continue
         connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", name=name, kind=kind)
         declared = variable[0]
-        own = ET.SubElement(connector, f"{{{SSC}}}{declared.tag}")
-        unit, declared_type = declared.get("unit"), declared.get("declaredType")
+        kind_of_value = declared.tag.replace("Enumeration", "Integer")  # as FMI reads it; libcosim refuses the other
+        own = ET.SubElement(connector, f"{{{SSC}}}{kind_of_value}")
+        unit = declared.get("unit")
         if declared.tag == "Real" and unit is not None:
             own.set("unit", unit)
             units.add(unit)
-        elif declared.tag == "Enumeration":
-            own.set("name", f"{instance}_{declared_type}")
-            enumerations[f"{instance}_{declared_type}"] = _enumeration(description, instance, declared_type)
     return units
-
-
-def _enumeration(description: ET.Element, instance: str, declared_type: str | None) -> ET.Element:
-    """Return an FMU's enumeration type as one of the system."""
-    found = ET.Element(f"{{{SSC}}}Enumeration", name=f"{instance}_{declared_type}")
-    for item in description.iterfind(f"TypeDefinitions/SimpleType[@name='{declared_type}']/Enumeration/Item"):
-        ET.SubElement(found, f"{{{SSC}}}Item", name=item.get("name", ""), value=item.get("value", ""))
-    return found
 
 
 def _add_units(root: ET.Element, units: set[str]) -> None:

@@ -145,7 +145,7 @@ def test_initial_unknowns_depend_on_what_changes_them_and_on_nothing_else(name, 
         values = guess(interface, start[name], rng)
         before = outputs(values)
         for v in interface.variables:
-            if v.start is None or before is None:
+            if before is None or v.start is None:
                 continue
             after = outputs({**values, v.name: another(v, values[v.name], rng)})
             for output in declared if after is not None else ():

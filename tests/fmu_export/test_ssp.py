@@ -39,11 +39,8 @@ def structure(folder):
         return ET.fromstring(archive.read("SystemStructure.ssd"))
 
 
-def test_connectors_have_the_types_units_and_items_of_the_fmus(shipped):
+def test_connectors_have_the_types_and_units_of_the_fmus(shipped):
     root = structure(shipped)
-    enumerations = {
-        e.get("name"): [(i.get("name"), i.get("value")) for i in e] for e in root.iter(f"{{{SSC}}}Enumeration")
-    }
     kinds = set()
     for component in root.iter(f"{{{SSD}}}Component"):
         fmu = read_model_description(str(shipped / f"{UNITS[component.get('name', '')]}.fmu"))
@@ -54,11 +51,10 @@ def test_connectors_have_the_types_units_and_items_of_the_fmus(shipped):
         for connector in connectors:
             variable, declared = variables[connector.get("name", "")], connector[0]
             kinds.add(variable.type)
-            assert declared.tag == f"{{{SSC}}}{variable.type}"
+            assert (
+                declared.tag == f"{{{SSC}}}{variable.type.replace('Enumeration', 'Integer')}"
+            )  # libcosim refuses these
             assert declared.get("unit") == variable.unit
-            if variable.declaredType is not None:
-                items = [(item.name, item.value) for item in variable.declaredType.items]
-                assert enumerations[declared.get("name")] == items
     assert kinds == {"Real", "Enumeration"}
 
 
