@@ -158,9 +158,9 @@ class Native:
         self.log: list[tuple[int, str, str]] = []
         self.library = ctypes.CDLL(library or binary(folder), mode)
         for function, signature in SIGNATURES.items():
-            entry = getattr(self.library, f"fmi2{function}", None)
-            if entry is None and self.description.coSimulation.needsExecutionTool:
+            if self.description.modelExchange is None and not hasattr(self.library, f"fmi2{function}"):
                 continue  # PythonFMU's wrapper has no functions of model exchange
+            entry = getattr(self.library, f"fmi2{function}")
             entry.argtypes = [ctypes.c_void_p, *(C_TYPES[letter] for letter in signature)]
         self.callbacks = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(self._take_message))
         self.library.fmi2Instantiate.restype = ctypes.c_void_p
@@ -367,7 +367,7 @@ def fmu(request):
         made.append(Native(folders[which], **options))
         return made[-1]
 
-    make.folders = folders
+    setattr(make, "folders", folders)  # noqa: B010
     yield make
     for instance in made:
         instance.free()

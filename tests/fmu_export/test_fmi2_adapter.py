@@ -34,7 +34,7 @@ def transcribed():
     A number in a cell is a condition; conditions on variables are tested below. The states error and fatal are left out: a
     refused call leaves an instance in the state that it was in.
     """
-    tables, kind = {EXCHANGE: {}, STEPPED: {}}, EXCHANGE
+    tables, kind, states = {EXCHANGE: {}, STEPPED: {}}, EXCHANGE, []
     for row in csv.reader((Path(__file__).parent / "allowed_calls.csv").read_text().splitlines()):
         if row and row[0] in ("model exchange", "co-simulation"):
             kind, states = (EXCHANGE if row[0] == "model exchange" else STEPPED), row[1:]

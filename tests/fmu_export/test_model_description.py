@@ -144,13 +144,16 @@ def test_initial_unknowns_depend_on_what_changes_them_and_on_nothing_else(name, 
     for _ in range(60):
         values = guess(interface, start[name], rng)
         before = outputs(values)
+        if before is None:
+            continue
         for v in interface.variables:
-            if before is None or v.start is None:
+            if v.start is None:
                 continue
             after = outputs({**values, v.name: another(v, values[v.name], rng)})
-            for output in declared if after is not None else ():
-                if after[output] != before[output]:
-                    found[output].add(v.name)
+            if after is not None:
+                for output in declared:
+                    if after[output] != before[output]:
+                        found[output].add(v.name)
     assert {name: found[name] ^ declared[name] for name in declared} == {name: set() for name in declared}
     initial = unknowns(fmus[name], "InitialUnknowns")
     assert initial == {v.name: declared[v.name] for v in interface.of("output")}
@@ -242,7 +245,7 @@ def test_every_real_has_a_unit_defined_with_its_exponents(name, fmus):
     assert set(units) == used
     for symbol, base in units.items():
         exponents = {key: getattr(base, key) for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
-        assert {key: power for key, power in exponents.items() if power} == base_units(symbol)
+        assert {key: power for key, power in exponents.items() if power} == base_units(symbol or "")
 
 
 def test_angles_are_displayed_in_degrees(name, fmus):
