@@ -246,6 +246,14 @@ def export(
             "none: this machine's. Others are compiled now, which the first time takes minutes."
         ),
     ] = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="UNIT.OUTPUT,...",
+            help="Outputs of the FMUs, separated by commas, for tools that take every output for a real number; the others "
+            "become local variables. None: all are outputs.",
+        ),
+    ] = None,
     other_model: Annotated[
         bool, typer.Option("--other-model", help="Export a design for another model than the plant's all the same.")
     ] = False,
@@ -267,11 +275,12 @@ def export(
     if platforms is not None and kind is Kind.python:
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
+    shown = None if outputs is None else [name.strip() for name in outputs.split(",")]
     check_replaceable(*(output / name for name in EXPORTED))
     with console.status("building") if names else nullcontext() as status:
         building = None if status is None else lambda what: status.update(f"building {what}")
         paths = export_units(
-            found, parameters, nominal, output, changes, smc, kind, names, building, other_model=other_model
+            found, parameters, nominal, output, changes, smc, kind, names, building, shown, other_model=other_model
         )
     for path in paths:
         console.print(f"wrote {escaped(path)}")

@@ -12,7 +12,7 @@ from .errors import UserError
 if TYPE_CHECKING:
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
-    from fmu_export.variables import Value
+    from fmu_export.variables import Interface, Value
     from ihc_fmu.design import Design
 
 
@@ -44,6 +44,7 @@ def export_units(
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
     building: Callable[[str], object] | None = None,
+    outputs: Sequence[str] | None = None,
     *,
     other_model: bool = False,
 ) -> list[Path]:
@@ -52,9 +53,10 @@ def export_units(
     `parameters` and `nominal` name the parameter sets of the plant and of the controller's nominal model, or files (*.toml)
     that hold them; `changes` to start values are given per unit, "plant" and "controller", and what follows from them does:
     the Kalman filter's gain from the nominal model and the sample time, the capture level from the voltage limit.
-    `platforms` and `building` as in `export_native_fmu`. The three reach the folder together: where one fails, earlier ones stay as they
-    are. Raises UserError for what cannot be exported, before anything is written: also a
-    design for another model than the plant's, unless `other_model`; BuildError for a missing binary or compiler.
+    `platforms` and `building` as in `export_native_fmu`; `outputs` names the outputs that stay such, as plant.VARIABLE or
+    controller.VARIABLE, None: all. The three files reach the folder together: where one fails, earlier ones stay as they
+    are. Raises UserError for what cannot be exported, also a design for another model than the plant's, unless
+    `other_model`, and BuildError for a missing binary or compiler.
     """
     from fmu_export.files import staging
     from ihc_fmu.documentation import notes as controller_notes
@@ -69,8 +71,10 @@ def export_units(
 
     from .model_match import misfit
     from .parameter_files import chosen
+    from .scenario import WIRES
 
     check_order(design)
+    wires = [(w.source, w.target) for w in WIRES["encoders"]]
     plant_set, nominal_set = chosen(parameters), chosen(nominal)
     changes = {"plant": {}, "controller": {}, **(changes or {})}
     A, b, k_lin = design.A, design.b, design.k_lin
@@ -86,16 +90,19 @@ def export_units(
     )
     for native, _, start, _ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
+    kept = _kept_outputs(outputs, {"plant": PLANT.interface, "controller": CONTROLLER.interface}, wires)
     problem = misfit(plans[1][2], plans[0][2])
     if problem is not None and not other_model:
         raise UserError(f"{problem}; --other-model exports them all the same")
     with staging(output) as place:
-        names = [path.name for path in _export(plans, place, kind, platforms, building)]
+        names = [path.name for path in _export(plans, kept, wires, place, kind, platforms, building)]
     return [output / name for name in names]
 
 
 def _export(
     plans: Sequence[tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str]],
+    kept: Sequence[Sequence[str] | None],
+    wires: Sequence[tuple[str, str]],
     output: Path,
     kind: Kind,
     platforms: Sequence[str] | None,
@@ -106,16 +113,33 @@ def _export(
     from fmu_export.python_fmu import export_python_fmu
     from fmu_export.ssp import write_ssp
 
-    from .scenario import WIRES
-
     paths = []
-    for native, slave, start, notes in plans:
+    for (native, slave, start, notes), shown in zip(plans, kept, strict=True):
         path = output / f"{native.interface.name}.fmu"
         if kind is Kind.native:
-            paths.append(export_native_fmu(native, path, start, notes, platforms, building))
+            paths.append(export_native_fmu(native, path, start, notes, platforms, building, shown))
         else:
-            paths.append(export_python_fmu(slave, path, start, notes))
+            paths.append(export_python_fmu(slave, path, start, notes, shown))
     plant, controller = paths
-    wires = [(w.source, w.target) for w in WIRES["encoders"]]
     system = write_ssp(output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires)
     return [plant, controller, system]
+
+
+def _kept_outputs(
+    names: Sequence[str] | None, interfaces: Mapping[str, Interface], wires: Sequence[tuple[str, str]]
+) -> list[list[str] | None]:
+    """Return per unit the outputs that stay such, None for all; raise UserError for others or without a wire's source."""
+    if names is None:
+        return [None for _ in interfaces]
+    for source, _ in wires:
+        if source not in names:
+            raise UserError(f"--outputs must name {source}, which a wire begins at")
+    kept: dict[str, list[str]] = {unit: [] for unit in interfaces}
+    for name in names:
+        unit, _, variable = name.partition(".")
+        if unit not in kept:
+            raise UserError(f"--outputs must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
+        kept[unit].append(variable)
+    for unit, variables in kept.items():
+        interfaces[unit].exposing(variables)  # refuses what is no output
+    return list(kept.values())

@@ -1,10 +1,11 @@
-"""The HTML that travels inside an FMU: what it is, its variables, and the notes of its unit."""
+"""What travels inside an FMU for people: a page on what it is, its variables and its unit's notes, and the licences."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from html import escape
 
+from .archive import license_of
 from .variables import Interface, Value, Variable
 
 _STYLE = (
@@ -12,6 +13,24 @@ _STYLE = (
     "table{border-collapse:collapse;width:100%}td,th{text-align:left;padding:.2rem .6rem;border-bottom:1px solid #ccc}"
     "pre{background:#f4f4f4;padding:1rem;overflow:auto}"
 )
+
+
+LICENSES = "documentation/licenses"
+
+
+def documents(
+    interface: Interface, start: Mapping[str, Value], notes: str, licenses: Mapping[str, tuple[str, bytes]]
+) -> dict[str, bytes]:
+    """Return the files of the FMU's documentation by name: the page, this project's licence, and the `licenses` of others.
+
+    The latter map a file name to what it is for and its text.
+    """
+    others = "".join(f"{name}: the licence of {what}\n" for name, (what, _) in licenses.items())
+    head = f"{interface.name} is under the licence below; it holds parts of others.\n{others}\n"
+    files = {f"{LICENSES}/{name}": text for name, (_, text) in licenses.items()}
+    files[f"{LICENSES}/license.txt"] = head.encode() + license_of("qube-ihc")
+    files["documentation/index.html"] = documentation(interface, start, notes).encode()
+    return files
 
 
 def documentation(interface: Interface, start: Mapping[str, Value], notes: str) -> str:

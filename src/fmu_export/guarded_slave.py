@@ -152,12 +152,12 @@ class GuardedSlave(Fmi2Slave):
         self._require("instantiated", doing="enterInitializationMode")
         if not self._experiment_set:
             raise ValueError("enterInitializationMode needs setupExperiment before it")
-        self._phase = "initialization"
+        self._phase = "initialization mode"
 
     @_guarded
     def exit_initialization_mode(self) -> None:
         """Build the unit from its start values and compute its outputs at the start time."""
-        self._require("initialization", doing="exitInitializationMode")
+        self._require("initialization mode", doing="exitInitializationMode")
         self._initialize_unit()
         self._phase = "step"
 
@@ -167,7 +167,7 @@ class GuardedSlave(Fmi2Slave):
         if self._phase != "step" or self._unit is None:
             self._require("step", doing="doStep")
         if not (step_size > 0.0 and math.isfinite(step_size)):
-            raise ValueError(f"the communication step must be positive and finite, found {step_size} s")
+            raise ValueError(f"the communication step must be positive and finite, found {step_size:g} s")
         if not abs(current_time - self._time) <= 1e-6 * step_size + 1e-12 * abs(self._time):
             raise ValueError(
                 f"time must not jump: the last step ended at {self._time!r} s, this begins at {current_time!r} s"
@@ -296,7 +296,7 @@ class GuardedSlave(Fmi2Slave):
 
     def _require(self, phase: str, doing: str) -> None:
         if self._phase != phase:
-            raise ValueError(f"{doing} is allowed in the state {phase!r}, found the state {self._phase!r}")
+            raise ValueError(f"{doing} is not allowed in the state {self._phase!r}")
 
     def _check_stop(self, end: float, step: float) -> None:
         """Refuse a step that ends beyond the stop time by more than rounding."""
@@ -320,7 +320,7 @@ class GuardedSlave(Fmi2Slave):
 
     def _get(self, vrs: list[int], kind: str) -> list[Any]:
         allowed = self._types[kind]
-        if self._phase in ("instantiated", "initialization"):
+        if self._phase in ("instantiated", "initialization mode"):
             self._prepare_outputs(vrs)
         values = self._values
         for vr in vrs:

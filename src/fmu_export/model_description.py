@@ -1,4 +1,4 @@
-"""modelDescription.xml of FMI 2.0 (version 2.0.2 of the standard) from an interface table."""
+"""modelDescription.xml of FMI 2.0 (version 2.0.5 of the standard) from an interface table."""
 
 from __future__ import annotations
 
@@ -6,35 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
+from .units import DISPLAY, base_units
 from .variables import Interface, Value, Variable
-
-UNITS: dict[str, dict[str, int]] = {
-    "1": {},
-    "s": {"s": 1},
-    "1/s": {"s": -1},
-    "m": {"m": 1},
-    "kg": {"kg": 1},
-    "rad": {"rad": 1},
-    "rad/s": {"rad": 1, "s": -1},
-    "rad/s2": {"rad": 1, "s": -2},
-    "rad2/s3": {"rad": 2, "s": -3},
-    "m/s2": {"m": 1, "s": -2},
-    "kg.m2": {"kg": 1, "m": 2},
-    "N.m": {"kg": 1, "m": 2, "s": -2},
-    "N.m.s/rad": {"kg": 1, "m": 2, "s": -1, "rad": -1},
-    "N.m/V": {"s": 1, "A": 1},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "A": {"A": 1},
-    "A/s": {"A": 1, "s": -1},
-    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
-    "V/rad": {"kg": 1, "m": 2, "s": -3, "A": -1, "rad": -1},
-    "V.s/rad": {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1},
-    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
-    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
-}
-"""Every unit of the project as exponents of the SI base units and the radian."""
-
-DEGREES = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 / 3.141592653589793)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +15,14 @@ class ModelExchange:
     """What model exchange needs to know of a unit: its continuous states, and what depends on what.
 
     `states` and their `derivatives` are names of variables, in order. `dependencies` maps outputs and derivatives to the
-    states and inputs that they depend on.
+    states and inputs that they depend on, `initial_dependencies` those of them that in initialization depend on more than
+    in co-simulation to what that is.
     """
 
     states: tuple[str, ...]
     derivatives: tuple[str, ...]
     dependencies: Mapping[str, tuple[str, ...]]
+    initial_dependencies: Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +63,7 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
         "DefaultExperiment",
         startTime="0",
         stopTime=repr(interface.stop_time),
-        stepSize=repr(interface.step_size),
+        stepSize=repr(start[interface.step_parameter] if interface.step_parameter else interface.step_size),
     )
     variables = ET.SubElement(root, "ModelVariables")
     exchange = capabilities.model_exchange
@@ -146,9 +121,9 @@ def _add_units(root: ET.Element, interface: Interface) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in sorted({v.unit for v in interface.variables if v.type == "Real"}):
         unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in UNITS[name].items()})
-        if name in DEGREES:
-            display, factor = DEGREES[name]
+        ET.SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
+        if name in DISPLAY:
+            display, factor = DISPLAY[name]
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(factor))
 
 
@@ -210,31 +185,34 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int, start:
 
 
 def _add_structure(root: ET.Element, interface: Interface, exchange: ModelExchange | None) -> None:
-    """Add ModelStructure. What unknowns depend on initially is left open: on every start value."""
-    index = {v.name: str(i) for i, v in enumerate(interface.variables, start=1)}
+    """Add ModelStructure, with all that each unknown depends on, in a run and in initialization."""
+    index = {v.name: i for i, v in enumerate(interface.variables, start=1)}
     outputs = {v.name: v.dependencies for v in interface.of("output")}
+    initial = {v.name: v.initial_dependencies for v in interface.calculated}
     derivatives: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
     if exchange is not None:
-        derivatives = exchange.derivatives
         outputs = {name: exchange.dependencies[name] for name in outputs}
+        initial = {name: (*known, *exchange.initial_dependencies.get(name, ())) for name, known in initial.items()}
+        derivatives, states = exchange.derivatives, exchange.states
+    sections = {
+        "Outputs": outputs,
+        "Derivatives": {name: exchange.dependencies[name] for name in derivatives} if exchange else {},
+        "InitialUnknowns": {
+            name: initial[name] for name in sorted({*outputs, *derivatives, *states}, key=index.__getitem__)
+        },
+    }
     structure = ET.SubElement(root, "ModelStructure")
-    for section, unknowns in (
-        ("Outputs", outputs),
-        ("Derivatives", {name: exchange.dependencies[name] for name in derivatives} if exchange else {}),
-    ):
+    for section, unknowns in sections.items():
         if not unknowns:
             continue
         parent = ET.SubElement(structure, section)
         for name, dependencies in unknowns.items():
-            known = sorted(int(index[d]) for d in dependencies)
+            known = sorted({index[d] for d in dependencies})
             ET.SubElement(
                 parent,
                 "Unknown",
-                index=index[name],
+                index=str(index[name]),
                 dependencies=" ".join(map(str, known)),
                 dependenciesKind=" ".join("dependent" for _ in known),
             )
-    parent = ET.SubElement(structure, "InitialUnknowns")
-    states = exchange.states if exchange else ()
-    for name in sorted({*outputs, *derivatives, *states}, key=lambda n: int(index[n])):
-        ET.SubElement(parent, "Unknown", index=index[name])

@@ -7,11 +7,11 @@ start values are compiled in, so that an importer that rebuilds them needs no fi
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 
 from .archive import content_guid, write_zip
-from .documentation import documentation
+from .documentation import documents
 from .errors import UserError
 from .model_description import Capabilities, model_description
 from .native_build import (
@@ -23,10 +23,11 @@ from .native_build import (
     host_platform,
     installed_library,
 )
-from .native_unit import NativeUnit, start_value_file, start_value_source, unit_files
+from .native_unit import ADAPTER, NativeUnit, start_value_file, start_value_source, unit_files
 from .variables import Value
 
 START_VALUES_SOURCE = "start_values.c"
+FMI_LICENSE = ADAPTER / "fmi2" / "LICENSE.txt"
 ALL = "all"
 """In place of the names of all platforms."""
 
@@ -38,18 +39,20 @@ def export_native_fmu(
     notes: str = "",
     platforms: Iterable[str] | None = None,
     building: Callable[[str], object] | None = None,
+    outputs: Collection[str] | None = None,
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
-    has built; others are compiled now, by the package ziglang; `building` is told which, before each. `notes` is HTML for
-    the FMU's documentation. The same arguments give the same bytes. The file is written beside and renamed. Raises
-    UserError for start values that the interface does not admit or that contradict each other and for unknown platforms,
-    BuildError where there is no binary.
+    has built; others are compiled now, by the package ziglang; `building` is told which, before each. `outputs` names
+    those that are outputs, None: all; the others become local variables. `notes` is HTML for the FMU's documentation. The
+    same arguments give the same bytes. The file is written beside and renamed. Raises UserError for start values that the
+    interface does not admit or that contradict each other and for unknown platforms, BuildError where there is no binary.
     """
     interface = unit.interface
     start = interface.start_values(changes)
     unit.twin(start)
+    shown = interface if outputs is None else interface.exposing(outputs)
     version = importlib.metadata.version("qube-ihc")
     sources = {name: file.read_bytes() for name, file in unit.sources.items()}
     sources |= {name: text.encode() for name, text in unit.generated.items()}
@@ -68,11 +71,11 @@ def export_native_fmu(
         files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
         if platforms is None and platform.name == "aarch64-linux":
             files[f"binaries/linux64/{name}"] = files[f"binaries/{platform.name}/{name}"]  # where FMPy looks on ARM
-    files["documentation/index.html"] = documentation(interface, start, notes).encode()
-    guid = content_guid(files, model_description(interface, start, "", capabilities))
+    files |= documents(shown, start, notes, {"FMI.txt": ("the header files of FMI", FMI_LICENSE.read_bytes())})
+    guid = content_guid(files, model_description(shown, start, "", capabilities))
     files["resources/start_values.bin"] = start_value_file(interface, guid, start)
     files[f"sources/{START_VALUES_SOURCE}"] = start_value_source(interface, guid, start).encode()
-    files["modelDescription.xml"] = model_description(interface, start, guid, capabilities)
+    files["modelDescription.xml"] = model_description(shown, start, guid, capabilities)
     write_zip(path, files)
     return path
 

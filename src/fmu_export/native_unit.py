@@ -64,8 +64,8 @@ def unit_files(unit: NativeUnit) -> dict[str, bytes]:
 
 def model_header(interface: Interface) -> str:
     """Return the header with the unit's name, with which FMI wants the functions of a source FMU to begin."""
-    return f"""/* Generated: the name of this unit. In shared libraries the functions of FMI have their plain names, for which an importer
- * defines FMI2_OVERRIDE_FUNCTION_PREFIX (FMI 2.0.5, section 2.1.1).
+    return f"""/* Generated: the name of this unit. A shared library has the plain names of FMI: compile it with
+ * FMI2_OVERRIDE_FUNCTION_PREFIX (FMI 2.0.5, section 2.1.1).
  */
 #ifndef FMU_MODEL_H
 #define FMU_MODEL_H
@@ -87,7 +87,7 @@ def variable_table(unit: NativeUnit) -> str:
     arrays = _arrays(unit.interface)
     lines = [
         f"/* Generated from the interface of {unit.interface.name}: its variables, in the order of their references. */",
-        "#include <math.h>",
+        "#include <float.h>",
         "",
         "static const fmu_variable VARIABLES[] = {",
         *(f"    {_entry(unit, v, arrays)}," for v in unit.interface.variables),
@@ -152,8 +152,9 @@ def _limits(variable: Variable) -> tuple[float, float]:
 
 
 def _number(value: float) -> str:
+    """Return the C literal, for no bound the largest number: INFINITY is no constant expression for every compiler."""
     if value in (float("inf"), float("-inf")):
-        return "INFINITY" if value > 0 else "-INFINITY"
+        return "DBL_MAX" if value > 0 else "-DBL_MAX"
     return repr(float(value))
 
 

@@ -12,12 +12,12 @@ import importlib.metadata
 import json
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
 from .archive import content_guid, license_of, write_zip
-from .documentation import documentation
+from .documentation import documents
 from .guarded_slave import MANIFEST, GuardedSlave, code_digest
 from .model_description import Capabilities, model_description
 from .variables import Value
@@ -36,17 +36,23 @@ ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 
 def export_python_fmu(
-    slave: type[GuardedSlave], path: Path, changes: Mapping[str, Value | str] | None = None, notes: str = ""
+    slave: type[GuardedSlave],
+    path: Path,
+    changes: Mapping[str, Value | str] | None = None,
+    notes: str = "",
+    outputs: Collection[str] | None = None,
 ) -> Path:
     """Write the FMU of `slave` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
-    `notes` is HTML for the FMU's documentation. The same arguments give the same bytes. The file is written beside and
-    renamed, so an interrupted export leaves an earlier file as it was. Raises UserError for start values that the
+    `notes` is HTML for the FMU's documentation. `outputs` names those that are outputs, None: all; the others become local
+    variables. The same arguments give the same bytes. The file is written beside and renamed, so an interrupted export
+    leaves an earlier file as it was. Raises UserError for start values that the
     interface does not admit or that contradict each other.
     """
     interface = slave.interface
     start = interface.start_values(changes)
     slave.unit_class(start)  # refuses start values that contradict each other
+    shown = interface if outputs is None else interface.exposing(outputs)
     files = _resources(slave, start)
     version = importlib.metadata.version("pythonfmu")
     capabilities = Capabilities(
@@ -55,10 +61,9 @@ def export_python_fmu(
         version=importlib.metadata.version("qube-ihc"),
     )
     files |= _binaries(interface.name)
-    files["documentation/index.html"] = documentation(interface, start, notes).encode()
-    files["documentation/licenses/PythonFMU.txt"] = license_of("pythonfmu")
-    guid = content_guid(files, model_description(interface, start, "", capabilities))
-    files["modelDescription.xml"] = model_description(interface, start, guid, capabilities)
+    files |= documents(shown, start, notes, {"PythonFMU.txt": ("PythonFMU", license_of("pythonfmu"))})
+    guid = content_guid(files, model_description(shown, start, "", capabilities))
+    files["modelDescription.xml"] = model_description(shown, start, guid, capabilities)
     write_zip(path, files)
     return path
 

@@ -8,27 +8,37 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from .archive import write_zip
-from .model_description import UNITS
+from .errors import UserError
 from .ownership import SOFTWARE
+from .units import base_units
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
+OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
 
 
 def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iterable[tuple[str, str]]) -> Path:
     """Write the SSP `path` of the FMU files `components` by instance name and the `wires`; return `path`.
 
     A wire is (output, input), each as `instance.variable`. All outputs become connectors, and those inputs that a wire
-    ends at; other inputs keep their start values. The same files give the same bytes.
+    ends at; other inputs keep their start values. An annotation gives OMSimulator its master: fixed steps, as long as the
+    FMUs that cannot vary theirs want. The same files give the same bytes. Raises UserError for a wire from what is no output
+    or to what is no input.
     """
     ends = [(*a.split("."), *b.split(".")) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
+    ET.register_namespace("oms", OMS)
     root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0", generationTool=SOFTWARE)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}
     units: set[str] = set()
+    descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
+    for a, x, b, y in ends:
+        for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
+            if descriptions[owner].find(f"*/ScalarVariable[@name='{variable}'][@causality='{causality}']") is None:
+                raise UserError(f"the wire {a}.{x} -> {b}.{y} needs the {causality} {owner}.{variable}")
     for instance, fmu in components.items():
         source = f"resources/{fmu.name}"
         files[source] = fmu.read_bytes()
@@ -36,12 +46,13 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
             elements, f"{{{SSD}}}Component", name=instance, type="application/x-fmu-sharedlibrary", source=source
         )
         wired = {variable for _, _, owner, variable in ends if owner == instance}
-        units |= _add_connectors(component, fmu, wired)
+        units |= _add_connectors(component, descriptions[instance], wired)
     connections = ET.SubElement(system, f"{{{SSD}}}Connections")
     for a, x, b, y in ends:
         ET.SubElement(
             connections, f"{{{SSD}}}Connection", startElement=a, startConnector=x, endElement=b, endConnector=y
         )
+    _add_master(system, min(_steps(descriptions.values())))
     _add_units(root, units)
     ET.indent(root)
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
@@ -49,10 +60,38 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     return path
 
 
-def _add_connectors(component: ET.Element, fmu: Path, wired: set[str]) -> set[str]:
-    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
+def _description(fmu: Path) -> ET.Element:
     with zipfile.ZipFile(fmu) as archive:
-        description = ET.fromstring(archive.read("modelDescription.xml"))
+        return ET.fromstring(archive.read("modelDescription.xml"))
+
+
+def _steps(descriptions: Iterable[ET.Element]) -> list[float]:
+    """Return the step sizes [s] that the FMUs want which cannot vary theirs; where all can, those of all."""
+    steps: dict[bool, list[float]] = {False: [], True: []}
+    for root in descriptions:
+        free = root.find("CoSimulation[@canHandleVariableCommunicationStepSize='true']") is not None
+        experiment = root.find("DefaultExperiment")
+        steps[free].append(float("nan" if experiment is None else experiment.get("stepSize", "nan")))
+    return steps[False] or steps[True]
+
+
+def _add_master(system: ET.Element, step: float) -> None:
+    """Add what OMSimulator wants to know of its master; other tools ignore it."""
+    annotations = ET.SubElement(system, f"{{{SSD}}}Annotations")
+    annotation = ET.SubElement(annotations, f"{{{SSC}}}Annotation", type="org.openmodelica")
+    information = ET.SubElement(ET.SubElement(annotation, f"{{{OMS}}}Annotations"), f"{{{OMS}}}SimulationInformation")
+    ET.SubElement(
+        information,
+        f"{{{OMS}}}FixedStepMaster",
+        description="oms-ma",
+        stepSize=repr(step),
+        absoluteTolerance="1e-4",
+        relativeTolerance="1e-4",
+    )
+
+
+def _add_connectors(component: ET.Element, description: ET.Element, wired: set[str]) -> set[str]:
+    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
@@ -61,12 +100,12 @@ def _add_connectors(component: ET.Element, fmu: Path, wired: set[str]) -> set[st
             continue
         connector = ET.SubElement(connectors, f"{{{SSD}}}Connector", name=name, kind=kind)
         declared = variable[0]
+        kind_of_value = declared.tag.replace("Enumeration", "Integer")  # as FMI reads it; libcosim refuses the other
+        own = ET.SubElement(connector, f"{{{SSC}}}{kind_of_value}")
         unit = declared.get("unit")
         if declared.tag == "Real" and unit is not None:
-            ET.SubElement(connector, f"{{{SSC}}}Real", unit=unit)
+            own.set("unit", unit)
             units.add(unit)
-        else:  # an enumeration's items stay in its FMU
-            ET.SubElement(connector, f"{{{SSC}}}{declared.tag.replace('Enumeration', 'Integer')}")
     return units
 
 
@@ -74,4 +113,4 @@ def _add_units(root: ET.Element, units: set[str]) -> None:
     definitions = ET.SubElement(root, f"{{{SSD}}}Units")
     for name in sorted(units):
         unit = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name)
-        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in UNITS[name].items()})
+        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})

@@ -6,8 +6,8 @@ Standard library only: this module travels inside the Python FMUs.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from .errors import UserError
@@ -23,7 +23,8 @@ class Variable:
     """One scalar variable of a unit's FMI 2.0 interface.
 
     `start` is None for outputs and local variables: they are calculated in initialization. `items` names the values 1, 2,
-    ... of an enumeration. `dependencies` lists the inputs that an output depends on directly at a communication point.
+    ... of an enumeration. `dependencies` lists the inputs that an output depends on directly at a communication point,
+    `initial_dependencies` the parameters and inputs that it depends on in initialization.
     `fault_on_non_finite` marks an input whose NaN or infinity the unit itself turns into a fault; every other non-finite
     value is refused.
     """
@@ -39,6 +40,7 @@ class Variable:
     max: float | None = None
     items: tuple[str, ...] = ()
     dependencies: tuple[str, ...] = ()
+    initial_dependencies: tuple[str, ...] = ()
     fault_on_non_finite: bool = False
 
     def __post_init__(self) -> None:
@@ -98,7 +100,10 @@ class Variable:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """The whole interface of a unit: its name, its text, its variables in the order of their value references."""
+    """The whole interface of a unit: its name, its text, its variables in the order of their value references.
+
+    `step_size` [s] is the step that suits it by default, unless `step_parameter` names the parameter that tells it.
+    """
 
     name: str
     description: str
@@ -106,6 +111,7 @@ class Interface:
     step_size: float
     stop_time: float
     variable_step: bool
+    step_parameter: str | None = None
     by_name: dict[str, Variable] = field(init=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -122,6 +128,23 @@ class Interface:
     def calculated(self) -> tuple[Variable, ...]:
         """The outputs and local variables, in interface order: what a unit's `outputs()` returns."""
         return tuple(v for v in self.variables if v.calculated)
+
+    def exposing(self, names: Collection[str]) -> Interface:
+        """Return the interface with the outputs `names` only; the others become local variables, which tools leave alone.
+
+        Raises UserError for a name that is no output.
+        """
+        outputs = {v.name for v in self.of("output")}
+        for name in names:
+            if name not in outputs:
+                raise UserError(f"{self.name} has no output named {name!r}{did_you_mean(name, outputs)}")
+        return replace(
+            self,
+            variables=tuple(
+                replace(v, causality="local") if v.causality == "output" and v.name not in names else v
+                for v in self.variables
+            ),
+        )
 
     def start_values(self, changes: Mapping[str, Value | str] | None = None) -> dict[str, Value]:
         """Return every parameter's and input's start value with `changes` applied and checked.

@@ -24,15 +24,23 @@ MAX_SAMPLES = 1_000_000
 """Most samples in one communication step."""
 
 GAIN_UNITS = ("V/rad", "V/rad", "V.s/rad", "V.s/rad")
+SURFACE_UNITS = ("V.s/rad", "V.s/rad", "V.s2/rad", "V.s2/rad")
+"""Of c in s = c x: with c b = 1 the surface's rate is a voltage."""
+BALL_UNITS = (*["1/rad2"] * 2, *["s/rad2"] * 2, "1/rad2", *["s/rad2"] * 2, *["s2/rad2"] * 3)
+"""Of the upper triangle of P, x' P x being a number."""
 
 
 def _input(name: str, unit: str, description: str) -> Variable:
     return Variable(name, "input", description, unit, start=0.0, fault_on_non_finite=True)
 
 
-def _output(name: str, description: str, unit: str = "1", items: tuple[str, ...] = ()) -> Variable:
+def _output(
+    name: str, description: str, unit: str = "1", items: tuple[str, ...] = (), start: tuple[str, ...] = ()
+) -> Variable:
     kind = "Enumeration" if items else "Real"
-    return Variable(name, "output", description, unit, type=kind, variability="discrete", items=items)
+    return Variable(
+        name, "output", description, unit, type=kind, variability="discrete", items=items, initial_dependencies=start
+    )
 
 
 def _fixed(name: str, start: Value, unit: str, description: str, **rest: object) -> Variable:
@@ -68,10 +76,19 @@ def upper_triangle(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{i}{j}" for i in range(1, ORDER + 1) for j in range(i, ORDER + 1))
 
 
-def _gain_row(name: str, text: str) -> list[Variable]:
-    return [
-        _fixed(n, 0.0, u, f"{text}, entry of {s}") for n, u, s in zip(vector(name), GAIN_UNITS, STATES, strict=True)
-    ]
+def _gain_row(name: str, text: str, units: tuple[str, ...] = GAIN_UNITS) -> list[Variable]:
+    return [_fixed(n, 0.0, u, f"{text}, entry of {s}") for n, u, s in zip(vector(name), units, STATES, strict=True)]
+
+
+def _chain_unit(i: int, j: int) -> str:
+    """Return the unit of Phi_ij: z_n' is a voltage and z_i' = z_(i+1), so z_i is in V s^(n-i+1)."""
+    power = ORDER - i + 1 + (j > ORDER // 2)
+    return f"V.s{power if power > 1 else ''}/rad"
+
+
+def _kalman_unit(name: str) -> str:
+    """Return the unit of an entry of M, corrections of the states, the voltage and the bias by an angle."""
+    return {"3": "1/s", "4": "1/s", "5": "V/rad"}.get(name[-2], "1")
 
 
 _NOMINAL = (
@@ -98,7 +115,11 @@ INTERFACE = Interface(
         _input("theta_dot", "rad/s", "angular velocity of the arm, used with velocity_source inputs"),
         _input("delta_dot", "rad/s", "angular velocity of the pendulum, used with velocity_source inputs"),
         _output("voltage", "commanded motor voltage, held between samples; 0 before the first sample", "V"),
-        _output("homogeneous_norm", _NORMS),
+        _output(
+            "homogeneous_norm",
+            _NORMS,
+            start=(*STATES, *matrix("Phi"), *upper_triangle("P"), "mu", "velocity_source"),
+        ),
         _output(
             "homogeneous_norm_used", "value of the norm in force in the law: within [a_min, b_max]; 1 where none is"
         ),
@@ -112,14 +133,19 @@ INTERFACE = Interface(
         *_gain_row("k_lin", "gain of the linear controller u = k_lin x"),
         *_gain_row("row", "row of the chain form, e_n' Phi A"),
         *[
-            _fixed(name, float(name[-1] == name[-2]), "1", "transformation z = Phi x to chain coordinates")
+            _fixed(
+                name,
+                float(name[-1] == name[-2]),
+                _chain_unit(int(name[-2]), int(name[-1])),
+                "transformation z = Phi x to chain coordinates",
+            )
             for name in matrix("Phi")
         ],
         *[
             _fixed(
-                name, float(name[-1] == name[-2]), "1", "unit ball x' P x <= 1 of the homogeneous norm; P is symmetric"
+                name, float(name[-1] == name[-2]), unit, "unit ball x' P x <= 1 of the homogeneous norm; P is symmetric"
             )
-            for name in upper_triangle("P")
+            for name, unit in zip(upper_triangle("P"), BALL_UNITS, strict=True)
         ],
         _fixed("mu", 1.0, "1", "minus the degree of homogeneity; 1 rejects matched disturbances", min=0.0, max=1.0),
         _tunable(
@@ -134,7 +160,7 @@ INTERFACE = Interface(
         _tunable("j_max", 3, "1", "bisections per sample in Algorithm 1", type="Integer", min=1, max=60),
         _choice("norm_solver", "algorithm1", NORM_SOLVERS, "how the norm in the law is computed"),
         _choice("discretization", "explicit", DISCRETIZATIONS, "state in the law: the present or the next sample's"),
-        *_gain_row("smc_c", "sliding surface s = c x, c b = 1"),
+        *_gain_row("smc_c", "sliding surface s = c x, c b = 1", SURFACE_UNITS),
         *_gain_row("smc_k", "linear part of the sliding mode law"),
         _tunable("smc_rho", 1.0, "V", "switching gain of the sliding mode law", min=0.0),
         _fixed("sample_time", 1e-3, "s", "sample time of the controller", min=1e-6, max=1.0),
@@ -149,11 +175,11 @@ INTERFACE = Interface(
         _fixed("velocity_filter_cutoff", 50.0, "rad/s", "w of the velocity filter w s/(s + w)", min=0.1, max=1e9),
         _tunable("enabled", True, "1", "false holds the controller idle at 0 V", type="Boolean"),
         _tunable("swing_up_enabled", True, "1", "false waits idle until the pendulum is lifted", type="Boolean"),
-        _tunable("swing_up_energy_gain", 43000.0, "1", "k_e, arm acceleration per energy error [rad/(s^2 J)]", min=0.0),
+        _tunable("swing_up_energy_gain", 43000.0, "rad/(s2.J)", "k_e, arm acceleration per energy error", min=0.0),
         _tunable(
             "swing_up_acceleration_limit", 150.0, "rad/s2", "bound on the pumping acceleration of the arm", min=0.0
         ),
-        _tunable("swing_up_arm_stiffness", 50.0, "1", "k_th, returns the arm to its centre [1/s^2]", min=0.0),
+        _tunable("swing_up_arm_stiffness", 50.0, "1/s2", "k_th, returns the arm to its centre", min=0.0),
         _tunable("swing_up_arm_damping", 10.0, "1/s", "k_d, damps the arm", min=0.0),
         _tunable("swing_up_energy_offset", 0.1, "1", "e_o, target energy above upright in m_p g_p L_p/2"),
         _tunable("swing_up_velocity_scale", 0.375, "rad/s", "v_s, pendulum velocity of full pumping", min=1e-6),
@@ -165,7 +191,10 @@ INTERFACE = Interface(
             _fixed(f"nominal_{name}", start, unit, f"nominal model: {text}", min=low, max=1e12)
             for name, unit, text, start, low in _NOMINAL
         ],
-        *[_fixed(name, 0.0, "1", "gain of the Kalman filter, for kalman_sample_time") for name in kalman_gains()],
+        *[
+            _fixed(name, 0.0, _kalman_unit(name), "gain of the Kalman filter, for kalman_sample_time")
+            for name in kalman_gains()
+        ],
         _fixed("kalman_sample_time", 0.0, "s", "sample time that the Kalman filter's gain is for; 0 is none", min=0.0),
         _fixed("kalman_angle", 0.6, "rad", "beyond it the swing-up observer's gains are used", min=0.0),
         _tunable(
@@ -191,4 +220,5 @@ INTERFACE = Interface(
     step_size=1e-3,
     stop_time=1.0,
     variable_step=False,
+    step_parameter="sample_time",
 )

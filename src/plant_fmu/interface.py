@@ -34,12 +34,20 @@ def _physical_parameters() -> list[Variable]:
     return made
 
 
-def _output(name: str, unit: str, description: str) -> Variable:
-    return Variable(name, "output", description, unit)
+_INERTIA = ("m_p", "L_p", "J_p", "L_r", "J_r")
+_MOTOR = ("R_m", "k_m", "back_emf", "motor_model")
+_MOTION = ("delta_0", "theta_dot_0", "delta_dot_0")
+_ACCELERATION = (*_INERTIA, "g_p", "D_p", "D_r", "T_r", *_MOTOR, *_MOTION)
+_NOISE = ("noise_std", "noise_seed")
 
 
-def _local(name: str, unit: str, description: str) -> Variable:
-    return Variable(name, "local", description, unit)
+def _output(name: str, unit: str, description: str, *start: str) -> Variable:
+    """Return an output; `start` names the parameters that it depends on in initialization, where no voltage acts yet."""
+    return Variable(name, "output", description, unit, initial_dependencies=start)
+
+
+def _local(name: str, unit: str, description: str, *start: str) -> Variable:
+    return Variable(name, "local", description, unit, initial_dependencies=start)
 
 
 INTERFACE = Interface(
@@ -51,15 +59,40 @@ INTERFACE = Interface(
             "disturbance_voltage", "input", "matched disturbance, added to voltage before the limit", "V", start=0.0
         ),
         Variable("pendulum_torque", "input", "disturbance torque on the pendulum joint", "N.m", start=0.0),
-        _output("theta", "rad", "angle of the rotary arm"),
-        _output("delta", "rad", "angle of the pendulum from upright, not wrapped"),
-        _output("theta_dot", "rad/s", "angular velocity of the rotary arm"),
-        _output("delta_dot", "rad/s", "angular velocity of the pendulum"),
-        _output("theta_encoder", "rad", "measured arm angle: noise, encoder counts, delay"),
-        _output("delta_encoder", "rad", "measured pendulum angle: noise, encoder counts, delay"),
-        _output("current", "A", "motor current under the voltage of the step that has just ended"),
-        _output("motor_torque", "N.m", "motor torque on the arm, k_m times current"),
-        _output("energy", "J", "mechanical energy; 0 at rest upright, -m_p g_p L_p at rest hanging"),
+        _output("theta", "rad", "angle of the rotary arm", "theta_0"),
+        _output("delta", "rad", "angle of the pendulum from upright, not wrapped", "delta_0"),
+        _output("theta_dot", "rad/s", "angular velocity of the rotary arm", "theta_dot_0"),
+        _output("delta_dot", "rad/s", "angular velocity of the pendulum", "delta_dot_0"),
+        _output(
+            "theta_encoder",
+            "rad",
+            "measured arm angle: noise, encoder counts, delay",
+            "theta_0",
+            "theta_encoder_offset",
+            "encoder_counts",
+            *_NOISE,
+        ),
+        _output(
+            "delta_encoder",
+            "rad",
+            "measured pendulum angle: noise, encoder counts, delay",
+            "delta_0",
+            "delta_encoder_offset",
+            "encoder_counts",
+            *_NOISE,
+        ),
+        _output(
+            "current", "A", "motor current under the voltage of the step that has just ended", *_MOTOR, "theta_dot_0"
+        ),
+        _output("motor_torque", "N.m", "motor torque on the arm, k_m times current", *_MOTOR, "theta_dot_0"),
+        _output(
+            "energy",
+            "J",
+            "mechanical energy; 0 at rest upright, -m_p g_p L_p at rest hanging",
+            *_INERTIA,
+            "g_p",
+            *_MOTION,
+        ),
         *_physical_parameters(),
         _parameter("voltage_limit", 10.0, "V", "the amplifier saturates at plus and minus this voltage", min=0.0),
         _parameter("back_emf", True, "1", "whether the turning motor induces a voltage", type="Boolean"),
@@ -102,9 +135,28 @@ INTERFACE = Interface(
             min=1e-7,
             max=0.1,
         ),
-        _local("theta_ddot", "rad/s2", "angular acceleration of the rotary arm under the voltage of the last step"),
-        _local("delta_ddot", "rad/s2", "angular acceleration of the pendulum under the voltage of the last step"),
-        _local("current_dot", "A/s", "rate of the current under the voltage of the last step; 0 without inductance"),
+        _local(
+            "theta_ddot",
+            "rad/s2",
+            "angular acceleration of the rotary arm under the voltage of the last step",
+            *_ACCELERATION,
+        ),
+        _local(
+            "delta_ddot",
+            "rad/s2",
+            "angular acceleration of the pendulum under the voltage of the last step",
+            *_ACCELERATION,
+        ),
+        _local(
+            "current_dot",
+            "A/s",
+            "rate of the current under the voltage of the last step; 0 without inductance",
+            "k_m",
+            "L_m",
+            "back_emf",
+            "motor_model",
+            "theta_dot_0",
+        ),
     ),
     step_size=1e-3,
     stop_time=1.0,

@@ -37,7 +37,12 @@ def _model_exchange(inductance: bool) -> ModelExchange:
     derivatives = ("theta_dot", "delta_dot", "theta_ddot", "delta_ddot")
     if inductance:
         states, derivatives = (*states, "current"), (*derivatives, "current_dot")
-    return ModelExchange(states, derivatives, dependencies)
+    inputs = {
+        name: [known for known in all_ if known in (*_VOLTAGES, "pendulum_torque")]
+        for name, all_ in dependencies.items()
+    }
+    initial = {name: (*known, *["voltage_limit"] * ("voltage" in known)) for name, known in inputs.items()}
+    return ModelExchange(states, derivatives, dependencies, initial)
 
 
 def model_exchange(start: Mapping[str, Value]) -> ModelExchange:

@@ -7,7 +7,10 @@ from __future__ import annotations
 
 import ctypes
 import json
+import math
 import os
+import platform as machine
+import random
 import subprocess
 import sys
 from functools import cache
@@ -95,8 +98,39 @@ SIGNATURES = {  # of the arguments behind the component: p pointer, n size_t, i 
 C_TYPES = {"p": ctypes.c_void_p, "n": ctypes.c_size_t, "i": ctypes.c_int, "d": ctypes.c_double}
 
 
+PLANT, CONTROLLER = NAMES
+STEP = 1e-3
+DEMANDING = {
+    PLANT: {"noise_std": 1e-3, "measurement_delay": 2e-3, "motor_model": 2, "solver_step": 2.5e-4},
+    CONTROLLER: {"norm_solver": 1, "discretization": 2},
+}
+"""Parameters under which a unit has as much state as it can have."""
+
+
+def inputs_at(name, k):
+    """Inputs of step k: random for the plant; from hanging to upright for the controller, with noise."""
+    rng = random.Random(k)
+    if name == PLANT:
+        return {"voltage": rng.uniform(-12, 12), "disturbance_voltage": rng.uniform(-1, 1), "pendulum_torque": 1e-4}
+    delta = math.pi * max(0.0, 1 - k / 40) + 1e-3 * rng.random()
+    return {"theta": 0.1 * math.sin(0.1 * k), "delta": delta, "theta_dot": rng.random(), "delta_dot": rng.random()}
+
+
+def run(instance, name, first, last):
+    """Outputs of the steps first, ..., last - 1."""
+    return [instance.step(k * STEP, STEP, **inputs_at(name, k)) for k in range(first, last)]
+
+
+def binary(folder):
+    """Return the path of this machine's binary in an unpacked FMU."""
+    folders = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
+    if machine.machine().lower() in ("aarch64", "arm64") and sys.platform == "linux":
+        folders["linux"] = "aarch64-linux"
+    return str(next((Path(folder) / "binaries" / folders[sys.platform]).iterdir()))
+
+
 class Native:
-    """One instance of a native FMU, driven by the plain C functions: `call` returns the status and raises nothing.
+    """One instance of an FMU of either kind, driven by the plain C functions: `call` returns the status and raises nothing.
 
     `log` collects (status, category, message). `folder` is the unpacked FMU; the keywords replace what a host would pass.
     `component` is None where the FMU refused to be instantiated.
@@ -105,7 +139,16 @@ class Native:
     MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 
     def __init__(
-        self, folder, kind=CO_SIMULATION, *, guid: str | None = "", location: str | None = "", name="unit", logging=True
+        self,
+        folder,
+        kind=CO_SIMULATION,
+        *,
+        guid: str | None = "",
+        location: str | None = "",
+        name="unit",
+        logging=True,
+        library: str | None = None,
+        mode=ctypes.DEFAULT_MODE,
     ) -> None:
         folder = Path(folder)
         self.description = description(str(folder))
@@ -113,8 +156,10 @@ class Native:
         self.output_names = [v.name for v in self.description.modelVariables if v.causality in ("output", "local")]
         self.kind = kind
         self.log: list[tuple[int, str, str]] = []
-        self.library = ctypes.CDLL(str(next(folder.glob("binaries/*/*.*"))))
+        self.library = ctypes.CDLL(library or binary(folder), mode)
         for function, signature in SIGNATURES.items():
+            if self.description.modelExchange is None and not hasattr(self.library, f"fmi2{function}"):
+                continue  # PythonFMU's wrapper has no functions of model exchange
             entry = getattr(self.library, f"fmi2{function}")
             entry.argtypes = [ctypes.c_void_p, *(C_TYPES[letter] for letter in signature)]
         self.callbacks = fmi2CallbackFunctions(logger=fmi2CallbackLoggerTYPE(self._take_message))
@@ -307,6 +352,22 @@ def native(native_folders):
         made.append(Native(native_folders.get(which, which), kind, **options))
         return made[-1]
 
+    yield make
+    for instance in made:
+        instance.free()
+
+
+@pytest.fixture(params=["native", "python"])
+def fmu(request):
+    """Make instances of an FMU of either kind by its name; all are freed after the test."""
+    folders = request.getfixturevalue({"native": "native_folders", "python": "folders"}[request.param])
+    made = []
+
+    def make(which, **options):
+        made.append(Native(folders[which], **options))
+        return made[-1]
+
+    setattr(make, "folders", folders)  # noqa: B010
     yield make
     for instance in made:
         instance.free()

@@ -54,6 +54,8 @@ class AnyOrder(RuleBasedStateMachine):
         self.kind = self.unit.kind
         self.is_plant = self.unit.description.modelName == PLANT
         self.by_reference = {v.valueReference: v for v in self.unit.variables.values()}
+        states = ("theta", "delta", "theta_dot", "delta_dot") if self.is_plant else ()
+        self.states = [self.unit.reference(name) for name in states]
         self.saved = []
         self.born()
         if far:
@@ -61,7 +63,7 @@ class AnyOrder(RuleBasedStateMachine):
             self.go_on()
 
     def born(self):
-        self.phase, self.set_up, self.time, self.trusted = BORN, False, 0.0, True
+        self.phase, self.set_up, self.time, self.stop, self.trusted = BORN, False, 0.0, math.inf, True
         self.values = {
             reference: float(v.start)
             if v.type == "Real"
@@ -87,7 +89,7 @@ class AnyOrder(RuleBasedStateMachine):
         ok = self.phase == BORN and math.isfinite(start) and (stop is None or stop >= start)
         self.expect("SetupExperiment", 0, 0.0, start, stop is not None, stop or 0.0, ok=ok)
         if ok:
-            self.set_up, self.time = True, start
+            self.set_up, self.time, self.stop = True, start, math.inf if stop is None else stop
 
     @precondition(lambda self: self.phase in BEFORE)
     @rule()
@@ -133,16 +135,16 @@ class AnyOrder(RuleBasedStateMachine):
         if variable is None or self.unit.type(variable.name) != kind:
             return False
         role = variable.variability if variable.causality == "parameter" else variable.causality
-        if self.phase not in SETTABLE.get(role, ()):
+        if self.phase == CONTINUOUS and kind == "Real" and reference in self.states:
+            return math.isfinite(value)
+        if self.phase not in SETTABLE.get(role, ()) or (self.phase == CONTINUOUS and kind != "Real"):
             return False
-        if variable.type == "Boolean":
-            return True
         if variable.type == "Enumeration":
             return 1 <= value <= len(variable.declaredType.items)
         if not math.isfinite(value):
             return role == "input" and not self.is_plant
         low, high = (math.inf * sign if m is None else float(m) for m, sign in ((variable.min, -1), (variable.max, 1)))
-        return low <= value <= high
+        return low <= value <= high or variable.type == "Boolean"
 
     def write(self, kind, pairs):
         references = (ctypes.c_uint * len(pairs))(*(reference for reference, _ in pairs))
@@ -204,7 +206,7 @@ class AnyOrder(RuleBasedStateMachine):
     @rule(step=st.sampled_from([STEP, STEP, STEP, STEP, STEP / 4, 0.0, -STEP, math.nan, math.inf]),
           ahead=st.sampled_from([0.0, 0.0, 0.0, 0.0, 0.25, -STEP, math.nan]))  # fmt: skip
     def do_step(self, step, ahead):
-        right = step > 0 and math.isfinite(step) and ahead == 0
+        right = step > 0 and math.isfinite(step) and ahead == 0 and self.time + step <= self.stop + 1e-6 * step
         if self.phase != READY:
             self.expect("DoStep", self.time + ahead, step, 1, ok=False)
             return
@@ -227,7 +229,7 @@ class AnyOrder(RuleBasedStateMachine):
     @rule(x=st.lists(TAME, min_size=4, max_size=4) | st.lists(WILD, min_size=3, max_size=5))
     def continuous_states(self, x):
         values, count = (ctypes.c_double * 5)(*x), len(x)
-        allowed = self.phase in (EVENT, CONTINUOUS) and count == 4
+        allowed = self.phase == CONTINUOUS and count == 4
         if allowed and not all(map(math.isfinite, x)):
             before = self.unit.everything()
             assert self.unit.call("SetContinuousStates", values, count) == DISCARD
@@ -245,7 +247,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def save(self):
-        known = self.phase, self.set_up, self.time, self.trusted, dict(self.values)
+        known = self.phase, self.set_up, self.time, self.stop, self.trusted, dict(self.values)
         self.saved.append((self.unit.save(), self.unit.everything(), known))
 
     @precondition(lambda self: self.saved)
@@ -256,7 +258,7 @@ class AnyOrder(RuleBasedStateMachine):
             state = self.unit.deserialize(everything)
         self.unit.done("SetFMUstate", state)
         assert self.unit.everything() == everything
-        self.phase, self.set_up, self.time, self.trusted, values = known
+        self.phase, self.set_up, self.time, self.stop, self.trusted, values = known
         self.values = dict(values)
         if serialized:
             self.unit.done("FreeFMUstate", ctypes.byref(state))

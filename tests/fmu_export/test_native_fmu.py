@@ -71,14 +71,16 @@ def plants(tmp_path_factory, native_units):
 
 def test_file_holds_sources_the_binary_of_this_machine_start_values_and_documentation(name, native_fmus, native_units):
     unit, files, host = native_units[name], contents(native_fmus[name]), host_platform()
-    own = {f"sources/{file}" for file in unit.sources} | {"sources/start_values.c", f"sources/{unit.table_name}"}
+    own = {f"sources/{file}" for file in (*unit.sources, *unit.generated, "start_values.c")}
     binary = f"binaries/{host.name}/{name}{host.suffix}"
     others = {binary, "modelDescription.xml", "resources/start_values.bin", "documentation/index.html"}
     assert {file for file in files if file.startswith("sources/")} == own
     assert others <= set(files)
     assert {file.split("/")[0] for file in files if file not in own | others} <= {"documentation", "binaries"}
     assert files[binary] == (BINARIES / host.name / f"{name}{host.suffix}").read_bytes()
-    assert files[f"sources/{unit.table_name}"] == variable_table(unit).encode()
+    assert files[f"sources/{unit.stem}_table.h"] == variable_table(unit).encode()
+    assert b"MIT License" in files["documentation/licenses/license.txt"]
+    assert b"Modelica Association" in files["documentation/licenses/FMI.txt"]
     for file, path in unit.sources.items():
         assert files[f"sources/{file}"] == path.read_bytes()
 

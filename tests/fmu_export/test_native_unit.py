@@ -51,7 +51,7 @@ INTERFACE = Interface(
     variable_step=True,
 )
 START = INTERFACE.start_values()
-EXCHANGE = ModelExchange(("level",), ("level_dot",), {"level": ("level",), "level_dot": ("inflow", "level")})
+EXCHANGE = ModelExchange(("level",), ("level_dot",), {"level": ("level",), "level_dot": ("inflow", "level")}, {})
 
 
 @pytest.fixture
@@ -72,25 +72,27 @@ def test_table_has_an_entry_for_each_variable_in_the_order_of_references(unit):
     found = entries(variable_table(unit))
     assert list(found) == [v.name for v in INTERFACE.variables]
     assert "enum { VARIABLE_COUNT = 16 };" in variable_table(unit)
-    assert '#define MODEL_IDENTIFIER "Tank"' in variable_table(unit)
+    header = unit.generated["fmu_model.h"]
+    assert '#define MODEL_IDENTIFIER "Tank"' in header
+    assert "#define FMI2_FUNCTION_PREFIX Tank_\n" in header
 
 
 @pytest.mark.parametrize(
     ("name", "entry"),
     [
-        ("inflow", "FMU_REAL, FMU_INPUT, 1, offsetof(tank_inputs, inflow), -INFINITY, INFINITY"),
-        ("level", "FMU_REAL, FMU_OUTPUT, 0, offsetof(tank_outputs, level), -INFINITY, INFINITY"),
-        ("level_dot", "FMU_REAL, FMU_OUTPUT, 0, offsetof(tank_outputs, level_dot), -INFINITY, INFINITY"),
+        ("inflow", "FMU_REAL, FMU_INPUT, 1, offsetof(tank_inputs, inflow), -DBL_MAX, DBL_MAX"),
+        ("level", "FMU_REAL, FMU_OUTPUT, 0, offsetof(tank_outputs, level), -DBL_MAX, DBL_MAX"),
+        ("level_dot", "FMU_REAL, FMU_OUTPUT, 0, offsetof(tank_outputs, level_dot), -DBL_MAX, DBL_MAX"),
         ("state", "FMU_INTEGER, FMU_OUTPUT, 0, offsetof(tank_outputs, state), 1.0, 2.0"),
-        ("area", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, area), 1e-06, INFINITY"),
-        ("gain_1", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, gain), -INFINITY, INFINITY"),
-        ("gain_2", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, gain) + 1 * sizeof(double), -INFINITY, INFINITY"),
-        ("M_22", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, M) + 3 * sizeof(double), -INFINITY, INFINITY"),
-        ("alone_1", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, alone_1), -INFINITY, INFINITY"),
+        ("area", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, area), 1e-06, DBL_MAX"),
+        ("gain_1", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, gain), -DBL_MAX, DBL_MAX"),
+        ("gain_2", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, gain) + 1 * sizeof(double), -DBL_MAX, DBL_MAX"),
+        ("M_22", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, M) + 3 * sizeof(double), -DBL_MAX, DBL_MAX"),
+        ("alone_1", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, alone_1), -DBL_MAX, DBL_MAX"),
         ("valve", "FMU_INTEGER, FMU_TUNABLE, 0, offsetof(tank_params, valve), 1.0, 3.0"),
         ("open_now", "FMU_BOOLEAN, FMU_TUNABLE, 0, offsetof(tank_params, open_now), 0.0, 1.0"),
         ("cells_1", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells_1), 1.0, 60.0"),
-        ("cells_2", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells_2), -3.0, INFINITY"),
+        ("cells_2", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells_2), -3.0, DBL_MAX"),
     ],
 )
 def test_entry_tells_type_role_place_and_limits(name, entry, unit):
@@ -134,6 +136,8 @@ def test_files_of_a_unit_are_its_own_the_adapter_the_headers_and_the_table(unit)
         "fmi2_adapter.c",
         "fmu_instance.c",
         "fmu_instance.h",
+        "fmu_model.h",
+        "fmu_names.h",
         "fmu_unit.h",
         "start_values_file.c",
         "fmi2Functions.h",

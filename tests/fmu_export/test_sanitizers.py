@@ -13,7 +13,17 @@ PLANT, CONTROLLER = "QubeServo2", "IhcController"
 PROGRAMS = Path(__file__).parent / "native"
 
 COMPILER = shutil.which("gcc") or shutil.which("clang")
-FLAGS = ["-std=c99", "-O1", "-g", "-fPIC", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+FLAGS = [
+    "-DFMI2_OVERRIDE_FUNCTION_PREFIX",
+    "-std=c99",
+    "-O1",
+    "-g",
+    "-fPIC",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-ffp-contract=off",
+]
 SANITIZERS = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 ENVIRONMENT = {**os.environ, "ASAN_OPTIONS": "detect_leaks=1", "UBSAN_OPTIONS": "print_stacktrace=1"}
 

@@ -1,14 +1,15 @@
 """The declared interface: complete, consistent, without a dead parameter, and free of other libraries."""
 
+import itertools
 import subprocess
 import sys
+from collections import Counter
 
 import pytest
 
-from ihc_fmu.interface import INTERFACE, matrix, upper_triangle, vector
+from fmu_export.units import base_units
+from ihc_fmu.interface import INTERFACE, STATES, kalman_gains, matrix, upper_triangle, vector
 from ihc_fmu.unit import IhcControllerUnit
-
-BASE_UNITS = {"rad", "s", "V", "N", "m", "kg", "s2", "s3", "m2", "rad2", "1"}
 
 
 def test_inputs_and_outputs_come_in_the_order_of_the_fmu():
@@ -34,9 +35,38 @@ def test_neutral_matrices_are_the_identity():
 def test_every_start_value_obeys_its_own_rule_and_every_variable_is_described():
     for v in INTERFACE.variables:
         assert v.description
-        assert set(v.unit.strip("1/").replace("/", ".").split(".")) - {""} <= BASE_UNITS, v.name
         if v.start is not None:
             assert v.check(v.start) == v.start
+
+
+def times(*units):
+    """Return the exponents of a product of units."""
+    total = Counter()
+    for unit in units:
+        total.update(base_units(unit))
+    return {base: power for base, power in total.items() if power}
+
+
+def test_units_are_those_of_the_equations():
+    """x in rad and rad/s, u in V, b = x''/u, z_n' = u, z_i' = z_(i+1), c b = 1, x' P x and k_e E/(rad/s^2) numbers."""
+    unit = {v.name: v.unit for v in INTERFACE.variables}
+    x, z = [unit[name] for name in STATES], ["V.s4", "V.s3", "V.s2", "V.s"]
+    for i, j in itertools.product(range(4), repeat=2):
+        assert times(unit[f"Phi_{i + 1}{j + 1}"], x[j]) == base_units(z[i])
+        if i <= j:
+            assert times(unit[f"P_{i + 1}{j + 1}"], x[i], x[j]) == {}
+    for j in range(4):
+        for row in ("k_lin", "row", "smc_k"):
+            assert times(unit[f"{row}_{j + 1}"], x[j]) == base_units("V")
+        assert times(unit[f"smc_c_{j + 1}"], x[j], "1/s") == base_units("V")
+    assert times(unit["swing_up_energy_gain"], "J") == base_units(unit["swing_up_acceleration_limit"])
+    assert times(unit["swing_up_arm_stiffness"], "rad") == base_units(unit["swing_up_acceleration_limit"])
+    assert times(unit["swing_up_arm_damping"], "rad/s") == base_units(unit["swing_up_acceleration_limit"])
+    assert unit["smc_rho"] == unit["disturbance_estimate"] == "V"
+    corrected = ("rad", "rad", "rad/s", "rad/s", "V", "rad")
+    for name in kalman_gains():
+        assert times(unit[name], "rad") == base_units(corrected[int(name[-2]) - 1])
+    assert unit["capture_level"] == unit["mu"] == unit["homogeneous_norm"] == unit["swing_up_energy_offset"] == "1"
 
 
 def test_only_measured_inputs_turn_a_non_finite_value_into_a_fault():

@@ -632,7 +632,7 @@ fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean noSetFMUStat
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
 {
     fmu_instance *m = c;
-    if (!allowed(m, "fmi2SetTime", FMU_CONTINUOUS)) {
+    if (!allowed(m, "fmi2SetTime", FMU_EVENT | FMU_CONTINUOUS)) {
         return fmi2Error;
     }
     if (!isfinite(time)) {

@@ -1,5 +1,6 @@
 #include "fmu_instance.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdint.h>
@@ -131,7 +132,7 @@ static int allocate(fmu_instance *m)
         const fmu_variable *v = &u->variables[i];
         m->where[i] = (unsigned char *)struct_of(m, v->role) + v->offset;
         m->of_type[v->type][i] = m->where[i];
-        if (v->type == FMU_REAL && v->role == FMU_INPUT && v->min == -INFINITY && v->max == INFINITY) {
+        if (v->type == FMU_REAL && v->role == FMU_INPUT && v->min == -DBL_MAX && v->max == DBL_MAX) {
             m->plain[i] = m->where[i];
         }
     }
@@ -160,6 +161,12 @@ void fmu_set_start(fmu_instance *m)
 static int in_range(const fmu_variable *v, double value)
 {
     return isfinite(value) ? value >= v->min && value <= v->max : v->any_value;
+}
+
+/* A bound as it is told: the largest number stands for none. */
+static double bound(double limit)
+{
+    return fabs(limit) < DBL_MAX ? limit : limit > 0.0 ? INFINITY : -INFINITY;
 }
 
 static int is_start_value(const fmu_variable *v, double value)
@@ -191,7 +198,7 @@ fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *res
         const fmu_variable *v = &unit->variables[i];
         if (v->role != FMU_OUTPUT && !is_start_value(v, m->start[i])) {
             snprintf(problem, problem_size, "the start value of %s must be a%s in [%g, %g], found %.17g", v->name,
-                     v->type == FMU_REAL ? " number" : "n integer", v->min, v->max, m->start[i]);
+                     v->type == FMU_REAL ? " number" : "n integer", bound(v->min), bound(v->max), m->start[i]);
             fmu_destroy(m);
             return NULL;
         }
@@ -380,7 +387,7 @@ static int admissible(const fmu_instance *m, fmi2ValueReference vr, double value
     }
     if (!in_range(v, value)) {
         if (isfinite(value)) {
-            fmu_say(m, fmi2Error, "%s must lie in [%g, %g], found %g", v->name, v->min, v->max, value);
+            fmu_say(m, fmi2Error, "%s must lie in [%g, %g], found %g", v->name, bound(v->min), bound(v->max), value);
         } else {
             fmu_say(m, fmi2Error, "%s must be finite, found %g at t = %.9g s", v->name, value, m->progress.time);
         }

@@ -25,7 +25,7 @@ typedef struct {
     fmu_role role;
     int any_value;   /* whether an input may be NaN or infinite, which the unit turns into a fault */
     size_t offset;   /* in the struct that the role tells [byte] */
-    double min, max; /* admissible values */
+    double min, max; /* admissible values; -DBL_MAX, DBL_MAX: any finite */
 } fmu_variable;
 
 /* The continuous states of a unit that can be used for model exchange. */

@@ -211,7 +211,7 @@ static fmi2Status continuous(fmi2Component c, unsigned which)
 static fmi2Status step(fmi2Component c)
 {
     double time = number(), length = 1e-3;
-    if (below(16) != 0 && fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &time) > fmi2Discard) {
+    if (below(16) != 0 && fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &time) > fmi2Error) {
         abort();
     }
     if (below(8) == 0) {
