@@ -182,8 +182,9 @@ class Design:
     @classmethod
     def load(cls, path: Path) -> Design:
         """Read a design file; errors name the file."""
+        text = read_text(path, "design")
         try:
-            return cls.from_json(read_text(path, "design"))
+            return cls.from_json(text)
         except CertificateError as error:
             raise CertificateError(f"{path}: {error}") from None
         except UserError as error:

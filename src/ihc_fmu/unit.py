@@ -167,6 +167,8 @@ class IhcControllerUnit:
         samples = step / self.sample_time
         beyond = samples - 0.5 if samples > 1.0 else 0.5 * samples
         last = math.floor((time - state.start_time) / self.sample_time + beyond)
+        if last - state.next_sample >= max(1, round(samples)):
+            raise UserError(f"sample {state.next_sample} of sample_time = {self.sample_time:g} s was stepped over")
         messages: list[str] = []
         while state.next_sample <= last:
             state.next_sample += 1

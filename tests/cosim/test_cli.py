@@ -225,7 +225,7 @@ def test_a_gain_that_does_not_stabilize_is_refused_with_its_pole(tmp_path):
     )
     (tmp_path / "mine.toml").write_text(system.replace("k_lin", "gain"), "utf-8")
     said = refused("design", "--system", "mine.toml", cwd=tmp_path)
-    assert said.startswith("mine.toml must have A, b and k_lin; missing: ['k_lin'], unknown: ['gain']")
+    assert said.startswith("mine.toml: k_lin is required")
 
 
 @pytest.mark.parametrize("case", ["NaN", "tampered", "not JSON"])
@@ -238,7 +238,7 @@ def test_a_design_that_proves_nothing_is_not_exported(tmp_path, design, design_f
         path.write_text("{", "utf-8")
     said = refused("export", "--design", "design.json", cwd=tmp_path)
     assert said.startswith("design.json: ")
-    assert {"NaN": "P must be finite", "tampered": "P", "not JSON": "not JSON"}[case] in said
+    assert {"NaN": "finite numbers, found NaN", "tampered": "P", "not JSON": "not JSON"}[case] in said
     assert files(tmp_path) == ["design.json"]
 
 
@@ -277,10 +277,11 @@ def test_a_failed_run_without_rows_leaves_nothing(elsewhere):
 
 def test_what_an_fmu_reports_is_shown_beside_the_result(elsewhere):
     """A control beyond the range of numbers is a fault of the controller; the run itself goes on with 0 V."""
-    changes = {"law": "LC", "k_lin_1": 1.7e308, "capture_level": 1e300}
+    changes = {"law": "LC", "k_lin_1": 1e305, "capture_level": 1e300}
     flags = [f"--set=controller.start.{name}={value}" for name, value in changes.items()]
-    flags += ["--set=plant.start.theta_0=10", "--set=run.duration=0.01", "--no-plot"]
+    flags += ["--set=plant.start.theta_0=1e4", "--set=run.duration=0.01", "--no-plot"]
     done = ended("run", "tilt", *flags, cwd=elsewhere)
+    assert done.returncode == 0, done.stderr
     result = Result.load(elsewhere / "results" / "tilt.csv")
     (message,) = result.metadata["messages"]["controller"]
     assert "fault non_finite_control" in message

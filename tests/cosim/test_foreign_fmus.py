@@ -352,6 +352,7 @@ def test_a_log_chooses_no_file_but_its_own_in_the_users_folder(odd, fmus, tmp_pa
 # A call that never returns
 
 HANGING = """
+import os
 import sys
 from pathlib import Path
 from cosim import campaign, interrupts
@@ -362,7 +363,7 @@ from tests.cosim.hil import rig
 interrupts.GRACE = 0.2
 what, fmu, fmus, folder = sys.argv[1], *map(Path, sys.argv[2:])
 def go(*_):
-    print("begins", flush=True)
+    os.write(1, b"begins" + os.linesep.encode())
     simulate(System([Component("a", fmu, {"hang": 1, "at": 3})]), 1e-3, 1.0)
 class Noted(rig.Between):
     def safe_stop(self, reason):
@@ -375,7 +376,7 @@ elif what == "compare":
     campaign.run_all([campaign.Job(k, Scenario()) for k in range(2)], fmus, print, workers=2)
 else:
     controller = Component("controller", fmu, {"hang": 1, "at": 3})
-    print("begins", flush=True)
+    os.write(1, b"begins" + os.linesep.encode())
     Loop(Noted(rig.lockstep(fmus)), controller, rig.settings_of(1.0), folder / "run").run()
 """
 

@@ -576,7 +576,7 @@ CONTRADICTIONS = {
     "inertia": (
         PLANT,
         {"J_p": 1e-12, "J_r": 1e-12, "m_p": 1.0},
-        {"m_p": 0.02},
+        {"J_p": 3e-5, "J_r": 6e-5, "m_p": 0.024},
         ["J_p and J_r must not vanish beside", "J_r = 1e-12"],
     ),
     "nominal inertia": (

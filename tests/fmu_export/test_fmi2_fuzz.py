@@ -151,6 +151,7 @@ class AnyOrder(RuleBasedStateMachine):
         numbers = (ctypes.c_double if kind == "Real" else ctypes.c_int) * len(pairs)
         call = f"Set{kind}", references, len(pairs), numbers(*(value for _, value in pairs))
         ok = all(self.admissible(reference, kind, value) for reference, value in pairs)
+        ok &= kind == "Real" or self.phase != CONTINUOUS
         variables = [self.by_reference[reference] for reference, _ in pairs] if ok else []
         if any(v.variability == "tunable" for v in variables) and self.phase in RUNNING:
             if any(v.causality == "input" for v in variables):

@@ -27,6 +27,7 @@ from fmu_export.native_unit import unit_files
 from fmu_export.variables import Interface
 
 PURE = {"sin", "cos", "sincos", "exp", "log", "pow", "sqrt", "floor", "remainder", "nearbyint", "fmin", "fmax", "fabs"}
+PURE |= {"frexp", "ldexp", "exp2"}
 MEMORY = {"memcpy", "memset", "memmove"}
 CORES = ("qube_servo2.c", "ihc_controller.c")
 ADAPTERS = ("qube_servo2_fmu.c", "ihc_controller_fmu.c", "fmi2_adapter.c", "fmu_instance.c", "start_values_file.c")

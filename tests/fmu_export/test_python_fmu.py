@@ -250,7 +250,8 @@ def test_refused_start_values_leave_an_earlier_file_alone(name, changes, message
 
 def test_interrupted_export_leaves_an_earlier_file_alone(slaves, tmp_path, monkeypatch):
     path = tmp_path / "unit.fmu"
-    path.write_bytes(b"an earlier file")
+    export_python_fmu(slaves["QubeServo2"], path)
+    earlier = path.read_bytes()
     written = []
 
     def write_three(archive, entry, data, *_):
@@ -260,9 +261,9 @@ def test_interrupted_export_leaves_an_earlier_file_alone(slaves, tmp_path, monke
 
     monkeypatch.setattr(zipfile.ZipFile, "writestr", write_three)
     with pytest.raises(UserError, match=r"unit\.fmu cannot be written: disk full"):
-        export_python_fmu(slaves["QubeServo2"], path)
+        export_python_fmu(slaves["QubeServo2"], path, {"delta_0": 0.1})
     assert len(written) > 3
-    assert path.read_bytes() == b"an earlier file"
+    assert path.read_bytes() == earlier
     assert list(tmp_path.iterdir()) == [path]
 
 

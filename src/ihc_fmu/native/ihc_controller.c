@@ -855,7 +855,10 @@ ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     }
     const double beyond = samples > 1.0 ? samples - 0.5 : 0.5 * samples;
     const double last = floor((time - s->start_time) / p->sample_time + beyond);
-    while ((double)s->next_sample <= last) {
+    if (last - (double)s->next_sample >= fmax(1.0, nearbyint(samples))) {
+        return IHC_SAMPLE_MISSED;
+    }
+    while ((double)s->next_sample <= last) { /* as often as the step has samples, at most */
         s->next_sample++;
         if (sample(p, q, s, u) != IHC_OK) {
             status = IHC_NEW_FAULT;

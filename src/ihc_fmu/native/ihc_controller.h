@@ -36,7 +36,8 @@ typedef enum {
     IHC_KALMAN_TIME,          /* the Kalman filter's gain is for another sample time */
     IHC_INPUTS_HELD,          /* the step worked; it is the first that held its inputs over several samples */
     IHC_STEP_NOT_MULTIPLE,    /* neither sample_time nor the communication step is a multiple of the other */
-    IHC_TOO_MANY_SAMPLES      /* the communication step is more than IHC_MAX_SAMPLES samples */
+    IHC_TOO_MANY_SAMPLES,     /* the communication step is more than IHC_MAX_SAMPLES samples */
+    IHC_SAMPLE_MISSED         /* a sample before this step was never run: the state is not of this run */
 } ihc_status;
 
 /* Parameters, named as in the FMU. */

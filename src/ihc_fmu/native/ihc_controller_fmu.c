@@ -99,6 +99,9 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
                  "a communication step of %g s",
                  p->sample_time, length);
         break;
+    case IHC_SAMPLE_MISSED:
+        snprintf(text, size, "sample %lld of sample_time = %g s was stepped over", (long long)s->next_sample, p->sample_time);
+        break;
     default:
         snprintf(text, size, "a communication step must not exceed %d samples of sample_time = %g s, found %g s",
                  (int)IHC_MAX_SAMPLES, p->sample_time, length);

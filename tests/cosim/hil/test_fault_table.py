@@ -219,14 +219,19 @@ def test_second_signal_during_the_stop(bench, run):
 
 
 def fails_at(monkeypatch, call, action):
-    """Replace the controller's command at its n-th call."""
-    command, count = Controller.command, [0]
+    """Replace the controller's command at its n-th call of the run, whose rehearsal comes before."""
+    command, count, prepare = Controller.command, [0], Controller.prepare
 
     def replaced(self, theta, delta):
         count[0] += 1
         return action() if count[0] == call else command(self, theta, delta)
 
+    def prepared(self):
+        prepare(self)
+        count[0] = 0
+
     monkeypatch.setattr(Controller, "command", replaced)
+    monkeypatch.setattr(Controller, "prepare", prepared)
 
 
 def raiser(error):

@@ -465,7 +465,14 @@ def test_a_device_that_cannot_be_opened_leaves_no_log(fmus, tmp_path, error, han
 
 
 def test_a_plant_that_cannot_begin_leaves_no_log(fmus, tmp_path):
-    loop = loop_of(lockstep(fmus, plant__start__L_m=0.0), fmus, tmp_path, 0.4)
+    loop = loop_of(
+        lockstep(
+            fmus, plant__start__J_p=1e-12, plant__start__J_r=1e-12, plant__start__m_p=1.0, controller__other_model=True
+        ),
+        fmus,
+        tmp_path,
+        0.4,
+    )
     with pytest.raises(DeviceError) as caught:
         loop.run()
     one_sentence(caught.value)

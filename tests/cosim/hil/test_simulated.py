@@ -99,7 +99,7 @@ def test_the_tachometer_is_the_rate_of_the_arms_counts(started):
 
 
 def test_the_current_is_what_the_winding_draws_where_the_arm_stands(started):
-    board = started(plant__start__J_r=10.0)
+    board = started(plant__start__J_r=10.0, controller__other_model=True)
     drive(board, 4.2, 10)
     assert board.sample.current == pytest.approx(4.2 / 8.4, rel=1e-3)
 
