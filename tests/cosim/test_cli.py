@@ -277,9 +277,9 @@ def test_a_failed_run_without_rows_leaves_nothing(elsewhere):
 
 def test_what_an_fmu_reports_is_shown_beside_the_result(elsewhere):
     """A control beyond the range of numbers is a fault of the controller; the run itself goes on with 0 V."""
-    changes = {"law": "LC", "k_lin_1": 1e305, "capture_level": 1e300}
+    changes = {"law": "SMC", "smc_k_1": 1.7e308, "capture_level": 1e300}
     flags = [f"--set=controller.start.{name}={value}" for name, value in changes.items()]
-    flags += ["--set=plant.start.theta_0=1e4", "--set=run.duration=0.01", "--no-plot"]
+    flags += ["--set=plant.start.theta_0=10", "--set=run.duration=0.01", "--no-plot"]
     done = ended("run", "tilt", *flags, cwd=elsewhere)
     assert done.returncode == 0, done.stderr
     result = Result.load(elsewhere / "results" / "tilt.csv")
