@@ -158,7 +158,7 @@ def design(
 
     if output.suffix != ".json":
         raise UserError(f"--output must name a .json file, found {output}")
-    check_replaceable(output)
+    check_replaceable(output, kind="design")
     A, b, k_lin = _read_system(system, need_gain=method is Method.inverse)
     if u_max is None and delta_max is None:
         u_max = 1.5
@@ -322,7 +322,9 @@ def run(
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
     unfinished = path.with_suffix(".partial.csv")  # an earlier complete result stays
-    check_replaceable(*(file.with_suffix(suffix) for file in (path, unfinished) for suffix in (".csv", ".json")))
+    check_replaceable(
+        *(file.with_suffix(suffix) for file in (path, unfinished) for suffix in (".csv", ".json")), kind="result"
+    )
     if plot:
         check_replaceable(path.with_suffix(".png"))
     say_notes(remarks(build_system(chosen, fmus, folder)))

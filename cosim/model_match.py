@@ -43,7 +43,15 @@ KINEMATICS = 0.05
 NOTABLE_DISTANCE, NOTABLE_GAINS = 0.12, (0.9, 1.1)
 """What is said, since the named sets differ less from the default design."""
 
-SCALES = (1.0, math.degrees(1.0), math.radians(1.0), 1e3, 1e-3)
+UNITS = {
+    math.degrees(1.0): "degrees instead of rad",
+    math.radians(1.0): "units of 57.3 rad instead of rad",
+    0.5 / math.pi: "revolutions instead of rad",
+    30.0 / math.pi: "rpm instead of rad/s",
+    1e3: "thousandths instead of rad",
+    1e-3: "thousands instead of rad",
+}
+SCALES = (1.0, *UNITS)
 """Factors between units that are tried."""
 SCALE_TOLERANCE = 2.5
 """A factor is taken for one of these where it is so near; parameters may differ besides."""
@@ -191,6 +199,8 @@ def _misfit(design_key: _Key, plant_key: _Key) -> str | None:
     found = min(_explanations(design, plant), key=len, default=None)
     if found is not None:
         return f"the controller was designed for another model than the plant's: {'; '.join(found)}"
+    if np.allclose(*(_sorted_poles(model) for model in (design, plant)), rtol=0.05, atol=0.05):
+        return "the controller was designed for this plant in other coordinates: the poles are the same, the states are not"
     return (
         f"the controller was designed for another system than this plant: A differs by {100 * d.A:.0f} %, b by a factor of "
         f"{d.gain:.3g}; poles {_poles(design)} instead of {_poles(plant)} 1/s"
@@ -254,15 +264,17 @@ def _differences(order: tuple[int, ...], S: Array) -> list[str]:
     if np.all(size == 1e-3):
         said.append("its input is in mV instead of V")
     else:
-        units = {SCALES[1]: "degrees", SCALES[2]: "units of 57.3 rad", 1e3: "thousandths", 1e-3: "thousands"}
-        for scale, unit in units.items():
+        for scale, unit in UNITS.items():
             which = [n for n, s in zip(names, size, strict=True) if s == scale]
             if which:
-                said.append(f"{', '.join(which)} {'is' if len(which) == 1 else 'are'} in {unit} instead of rad")
+                said.append(f"{', '.join(which)} {'is' if len(which) == 1 else 'are'} in {unit}")
     return said
 
 
+def _sorted_poles(model: Model) -> Array:
+    return np.sort_complex(np.round(np.linalg.eigvals(model.A), 6) + 0.0)  # no -0
+
+
 def _poles(model: Model) -> str:
-    poles = np.round(np.linalg.eigvals(model.A), 6) + 0.0  # no -0
-    poles = sorted(poles, key=lambda pole: (pole.real, pole.imag))
+    poles = _sorted_poles(model)
     return ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-6 else f"{p.real:.3g}{p.imag:+.3g}i" for p in poles)

@@ -39,6 +39,9 @@ ControllerOption = Annotated[
 ]
 
 
+OTHER_FMU = "this FMU is not the file that the log was made with (another GUID)"
+
+
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     for command in (hil, device, replay, overlay, identify):
@@ -337,7 +340,7 @@ def replay(run: RunArgument, controller: ControllerOption = None, fmus: FmusOpti
     result = Result.load(run)
     found = run_replay(result, controller_of(result, controller, fmus))
     if not found.same_fmu:
-        problems.print("[yellow]note:[/] this FMU is not the file that the log was made with (another GUID)")
+        say_notes([OTHER_FMU])
     if found.first is None:
         console.print(f"exact: {found.samples} samples replayed, every output as in the log to the last bit")
         return
@@ -368,19 +371,21 @@ def overlay(
     from ..provenance import provenance
     from ..results import Result
     from .overlay import as_seen, differences, resimulate
-    from .replay import controller_of
+    from .replay import controller_of, is_own
     from .scaling import RESOLUTION
 
     result = Result.load(run)
     folder = output or run.with_name(f"{run.stem}_overlay")
     pictures = (f"{name}.png" for name in COMPARISON)
     check_replaceable(*(folder / name for name in ("simulation.csv", "simulation.json", *pictures)))
-    plant = fmus / provenance(result).scenario.plant.fmu
+    plant, own = fmus / provenance(result).scenario.plant.fmu, controller_of(result, controller, fmus)
+    if not is_own(result, own):
+        say_notes([OTHER_FMU])
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
         found = resimulate(
             result,
-            (plant, controller_of(result, controller, fmus)),
+            (plant, own),
             parameters,
             begin,
             lambda done, total: bar.update(task, completed=done, total=total),

@@ -59,6 +59,12 @@ def controller_of(result: Result, given: Path | None, fmus: Path) -> Path:
     return path
 
 
+def is_own(result: Result, fmu: Path) -> bool:
+    """Return whether `fmu` is the controller that the log was made with, by its GUID."""
+    used = provenance(result).fmus.get("controller")
+    return used is not None and describe(fmu)[1].guid == used.guid
+
+
 def replay(result: Result, fmu: Path) -> Replay:
     """Feed the measured angles of `result` to the controller `fmu` with the log's start values and compare all outputs.
 
@@ -108,7 +114,7 @@ def replay(result: Result, fmu: Path) -> Replay:
         row = int(differing[0])
         column = int(np.flatnonzero(~same[row])[0])
         first = Difference(float(result.time[row]), names[column], logged[column][row], float(replayed[row, column]))
-    return Replay(sum(map(bool, steps)), int(differing.size), first, controller.instance.description.guid == used.guid)
+    return Replay(sum(map(bool, steps)), int(differing.size), first, is_own(result, fmu))
 
 
 def _bits(values: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from .errors import UserError
-from .ownership import check_replaceable
+from .ownership import check_replaceable, kind_of
 
 Content = str | bytes | Iterable[bytes]
 """Text (UTF-8), bytes, or pieces of bytes."""
@@ -46,7 +46,8 @@ def write_files(contents: Mapping[Path, Content]) -> None:
     as they were.
     """
     with uninterrupted(), ExitStack() as stack:
-        staged = {path: stack.enter_context(_beside(path)) for path in contents}
+        kinds = {path: kind_of(c) if isinstance(c, str | bytes) else "" for path, c in contents.items()}
+        staged = {path: stack.enter_context(_beside(path, kinds[path])) for path in contents}
         for path, content in contents.items():
             with _named(path):
                 file = staged[path][0]
@@ -80,7 +81,9 @@ def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
         with _named(folder):
             for name in names:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        check_replaceable(*(folder / name for name in names))
+        for name in names:
+            kind = kind_of((place / name).read_bytes()) if name.suffix == ".json" else ""
+            check_replaceable(folder / name, kind=kind)
         with uninterrupted(), _alone_in(folder):
             for name in sorted(names, key=lambda name: str(name) == last):
                 with _named(folder / name):
@@ -125,13 +128,13 @@ def uninterrupted() -> Iterator[None]:
 
 
 @contextmanager
-def _beside(path: Path) -> Iterator[tuple[IO[bytes], Path]]:
+def _beside(path: Path, kind: str = "") -> Iterator[tuple[IO[bytes], Path]]:
     """Give a new file beside `path` and its path; it is closed and, where it still has that name, removed at the end."""
     with _named(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise UserError(f"{path} cannot be written: it is a folder")
-        check_replaceable(path)
+        check_replaceable(path, kind=kind)
         beside = path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}.tmp")
         file = beside.open("xb")
     try:

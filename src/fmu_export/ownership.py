@@ -24,6 +24,7 @@ _HEAD = 1024
 _INSTANCES = ("controller.", "plant.", "hil.")
 _HEADINGS = (
     "law,seed,",
+    "law,draw,",
     "mu,u_max,a_min,b_max,",
     "time,voltage,what",
     "experiment,parameters,step,gain,variant,draw,",
@@ -31,11 +32,33 @@ _HEADINGS = (
 """Beginnings of tables' headings besides those of results."""
 
 
-def check_replaceable(*paths: Path) -> None:
-    """Raise UserError for the first of the files that exists and that this project did not write."""
+def check_replaceable(*paths: Path, kind: str = "") -> None:
+    """Raise UserError for the first of the files that exists and that this project did not write, or cannot be a file.
+
+    `kind` is what JSON files among them are to be, "result" for one: a file of another kind stays too.
+    """
     for path in paths:
-        if path.is_file() and not is_ours(path):
+        try:
+            exists = path.is_file()
+        except OSError as error:
+            raise UserError(f"{path} cannot be written: {error.strerror}") from None
+        if not exists:
+            continue
+        if not is_ours(path):
             raise UserError(f"{path} was not written by {SOFTWARE} and stays; choose another name or move that file")
+        found = kind_of(path.read_bytes()) if kind and path.suffix.lower() == ".json" else ""
+        if found and found != kind:
+            raise UserError(f"{path} is a {found}, not a {kind}, and stays; choose another name or move that file")
+
+
+def kind_of(content: str | bytes) -> str:
+    """Return what the content of a JSON file of this project is, such as "result" or "design"; empty for other content."""
+    try:
+        data = json.loads(content)
+    except (ValueError, RecursionError):
+        return ""
+    software, _, rest = str(data.get("format", "") if isinstance(data, dict) else "").partition(" ")
+    return rest.rpartition(" ")[0] if software == SOFTWARE else ""
 
 
 def is_ours(path: Path) -> bool:
@@ -45,18 +68,15 @@ def is_ours(path: Path) -> bool:
 
 
 def _is_json(path: Path) -> bool:
-    try:
-        data = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
-        return False
-    return isinstance(data, dict) and str(data.get("format", "")).startswith(f"{SOFTWARE} ")
+    return bool(kind_of(path.read_bytes()))
 
 
 def _is_table(path: Path) -> bool:
-    for suffix in (".json", ".md"):
-        description = path.with_suffix(suffix)
-        if description.is_file() and is_ours(description):
-            return True
+    described, listed = path.with_suffix(".json"), path.with_suffix(".md")
+    if described.is_file() and kind_of(described.read_bytes()) in ("result", "comparison"):
+        return True
+    if listed.is_file() and is_ours(listed):
+        return True
     with path.open("rb") as file:
         heading = file.readline().decode("utf-8", "replace").rstrip("\r\n")
     time, *names = heading.split(",")

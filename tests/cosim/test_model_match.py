@@ -79,6 +79,7 @@ DEGREE = 180.0 / np.pi
         (changed(scale=[DEGREE] * 4), "theta, delta, theta_dot, delta_dot are in degrees instead of rad"),
         (changed(scale=(1, DEGREE, 1, DEGREE)), "delta, delta_dot are in degrees instead of rad"),
         (changed(scale=(DEGREE, DEGREE, 1, 1)), "theta, delta are in degrees instead of rad"),
+        (changed(scale=(1, 1, 30.0 / np.pi, 30.0 / np.pi)), "theta_dot, delta_dot are in rpm instead of rad/s"),
         (changed(scale=[1e-3] * 4), "its input is in mV instead of V"),
         (changed(scale=[-1] * 4), "the sign of its input is the opposite"),
         (changed(scale=(1, -1, 1, -1)), "the signs of delta, delta_dot are the opposite"),
@@ -102,6 +103,15 @@ def test_a_design_for_another_model_is_told_what_differs(model, expected):
     found = misfit(controller(*model), IDENT)
     assert found is not None
     assert expected in found
+
+
+def test_poles_that_are_the_same_are_not_called_a_difference():
+    real = plant_model(IDENT)
+    assert real is not None
+    S = np.array([1.0, 3.1, 1.0, 3.1])
+    found = misfit(controller(real.A * np.outer(S, 1 / S), S * real.b), IDENT)
+    assert found is not None
+    assert "designed for this plant in other coordinates" in found
 
 
 def test_units_that_do_not_say_are_not_judged():

@@ -14,7 +14,7 @@ from cosim.plots import save_figure
 from cosim.results import Result
 from cosim.scenario import Scenario
 from fmu_export.errors import UserError
-from fmu_export.files import write_file
+from fmu_export.files import staging, write_file
 from fmu_export.ownership import check_replaceable, is_ours
 from plant_fmu.parameters import PARAMETER_SETS
 
@@ -76,3 +76,33 @@ def test_the_file_of_somebody_else_stays(tmp_path, name):
 
 def test_exported_files_are_known(fmus, native_fmus):
     assert all(is_ours(path) for path in (*fmus.values(), *native_fmus.values()))
+
+
+def test_a_file_of_another_kind_stays_too(tmp_path):
+    path = tmp_path / "mine.json"
+    design, result = '{"format": "qube-ihc design 1"}', '{"format": "qube-ihc result 2"}'
+    for kind, before, after in (("result", design, result), ("design", result, design)):
+        path.unlink(missing_ok=True)
+        write_file(path, before)
+        with pytest.raises(
+            UserError, match=f"mine.json is a {'design' if kind == 'result' else 'result'}, not a {kind}"
+        ):
+            check_replaceable(path, kind=kind)
+        with pytest.raises(UserError, match="and stays"), staging(tmp_path) as place:
+            write_file(place / path.name, after)
+        with pytest.raises(UserError, match="and stays"):
+            write_file(path, after)
+        assert path.read_text(encoding="utf-8") == before
+        write_file(path, before.replace("1", "3"))  # another version of its kind
+
+
+def test_a_table_is_not_ours_for_a_design_beside_it(tmp_path):
+    (tmp_path / "mine.json").write_text('{"format": "qube-ihc design 1"}', encoding="utf-8")
+    (tmp_path / "mine.csv").write_text("a,b\n1,2\n", encoding="utf-8")
+    with pytest.raises(UserError, match=r"mine\.csv was not written"):
+        check_replaceable(tmp_path / "mine.csv", kind="result")
+
+
+def test_a_name_that_no_file_can_have_is_refused(tmp_path):
+    with pytest.raises(UserError, match="cannot be written: File name too long"):
+        check_replaceable(tmp_path / ("a" * 300 + ".csv"))
