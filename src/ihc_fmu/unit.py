@@ -326,7 +326,7 @@ class IhcControllerUnit:
         shift = homogeneity.shift_of(x)
         if shift != 0:
             x = [entry * 2.0**-shift for entry in x]
-        z = homogeneity.product(self.Phi, x)
+        z = [homogeneity.exact_dot(entries, x) for entries in self.Phi]
         return ChainState(shift, x, z, homogeneity.norm_polynomial(self.Pz, z, self.mu, shift))
 
     def _command(self, x: list[float], chain: ChainState) -> float:

@@ -33,6 +33,15 @@ def states(seed, count):
         yield tuple(0.0 if k % 3 == 2 and rng.random() < 0.4 else entry for entry in entries)
 
 
+def axes(reference, seed, count):
+    """States near the axes of the dilation, where a converging loop ends: the terms of their chain coordinates cancel."""
+    rng = random.Random(seed)
+    inverse = reference.Phi**-1
+    for _ in range(count):
+        axis, size = rng.randrange(1, 4), rng.uniform(-270, 270)
+        yield tuple(float(inverse[i, axis] * reference.mp.mpf(10) ** size) for i in range(4))
+
+
 class Reference:
     """The design's norm and laws in 60 digits, for the numbers that the FMU has."""
 
@@ -99,7 +108,8 @@ def test_norm_and_laws_are_right_for_states_of_every_size(mu, discretization, co
     unit, native = controller(**changes), Host(folder).initialize(**changes)
     unit.initialize(0.0, (0.0,) * 4)
     h = H if discretization == 2 else None
-    for k, (theta, delta, *rest) in enumerate(states(int(100 * mu), 45)):
+    seed = int(100 * mu)
+    for k, (theta, delta, *rest) in enumerate([*states(seed, 45), *axes(reference, seed, 15)]):
         x = (theta, math.remainder(delta, math.tau), *rest)
         assert unit.step(k * H, H, x) == []
         assert native.step(k * H, H, **dict(zip(INPUTS, x, strict=True))) == unit.outputs()

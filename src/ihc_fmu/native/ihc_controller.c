@@ -58,6 +58,49 @@ static double dot(const double a[N], const double b[N])
     return sum;
 }
 
+#define CANCELLED 1e-3      /* of its terms' sizes: a smaller sum is added anew in twice the precision */
+#define MOST_EXACT 0x1p900  /* sum of the sizes of products up to which their factors are split */
+#define SPLIT 134217729.0   /* 2^27 + 1: halves a double's digits (Dekker 1971) */
+
+static double high_digits(double a)
+{
+    const double t = SPLIT * a;
+    return t - (t - a);
+}
+
+/* The error of the rounded product a b, exactly. */
+static double product_error(double a, double b, double product)
+{
+    const double a_high = high_digits(a), b_high = high_digits(b);
+    const double a_low = a - a_high, b_low = b - b_high;
+    return a_low * b_low - (((product - a_high * b_high) - a_low * b_high) - a_high * b_low);
+}
+
+/* a' b to full precision although its terms cancel: near an axis of the dilation chain coordinates are far smaller than
+ * their terms, and the norm magnifies them. Dot2 of Ogita, Rump and Oishi (2005); rounding as written, without fused
+ * operations. */
+static double exact_dot(const double a[N], const double b[N])
+{
+    double total = 0.0, size = 0.0, rest = 0.0;
+    for (int i = 0; i < N; i++) {
+        const double term = a[i] * b[i];
+        total += term;
+        size += fabs(term);
+    }
+    if (!(CANCELLED * size > fabs(total)) || size > MOST_EXACT) {
+        return total;
+    }
+    total = 0.0;
+    for (int i = 0; i < N; i++) {
+        const double term = a[i] * b[i];
+        const double error = product_error(a[i], b[i], term);
+        const double after = total + term, part = after - total;
+        rest += ((total - (after - part)) + (term - part)) + error;
+        total = after;
+    }
+    return total + rest;
+}
+
 /* ---- Canonical homogeneous norm ---------------------------------------------------------------------------------- */
 
 /* floor(x/4 + 1/2) as a whole number, for an x of moderate size. */
@@ -709,7 +752,7 @@ static void to_chain_state(const ihc_params *p, const ihc_prepared *q, const dou
         chain->x[i] = x[i] * factor;
     }
     for (int i = 0; i < N; i++) {
-        chain->z[i] = dot(p->Phi[i], chain->x);
+        chain->z[i] = exact_dot(p->Phi[i], chain->x);
     }
     ihc_norm_polynomial(q->Pz, chain->z, p->mu, chain->shift, &chain->polynomial);
 }
