@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import math
+import os
 import secrets
 import sys
 from collections.abc import Sequence
@@ -61,6 +63,9 @@ app = typer.Typer(
     "experiments. `demo` does the first four.",
 )
 
+OUTPUT_LOST = (errno.ENOSPC, errno.EIO)
+"""What writing to a full disk or to a terminal that is gone ends with; a file that has a name is named by UserError."""
+
 
 class Method(StrEnum):
     """How P and k are found."""
@@ -104,7 +109,10 @@ def main() -> None:
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
     try:
-        app(arguments)
+        try:
+            app(arguments)
+        finally:
+            sys.stdout.flush()
     except SystemExit as end:
         if end.code == CTRL_C:  # Typer makes this of a KeyboardInterrupt
             sys.exit(signals.exit_code())
@@ -119,8 +127,22 @@ def main() -> None:
         say_error(error, "there is not enough memory", traceback=debug)
         sys.exit(FAILED)
     except Exception as error:
-        say_fault(error)
-        sys.exit(FAULT)
+        if not (isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST):
+            say_fault(error)
+            sys.exit(FAULT)
+        _discard_output()
+        say_error(error, f"the output cannot be written: {error.strerror}", traceback=debug)
+        sys.exit(FAILED)
+
+
+def _discard_output() -> None:
+    """Drop what is left to be written to an output that takes no more; to a terminal, the error output stays."""
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(nothing, stream.fileno())
 
 
 @app.command()
@@ -344,7 +366,11 @@ def run(
                 count = len(stopped.result.time)
                 bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
             raise
-        _save(result, path)
+        try:
+            _save(result, path)
+        except KeyboardInterrupt:
+            bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
+            raise
     warn_of_messages(result)
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:
@@ -445,20 +471,26 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
 
 def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
     from .experiments import compare as run_comparison
-
-    with progress() as bar:
-        task = bar.add_task("co-simulation", total=None)
-        comparisons = run_comparison(
-            studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
-        )
     from .plots import save_comparison
 
-    for comparison in comparisons:
-        folder = output / comparison.scenario.name
-        title = comparison.scenario.description or comparison.scenario.name
-        comparison.save(folder, partial(save_comparison, comparison.results, title=title))
-        print_comparison(comparison)
-        console.print(f"results and pictures in {escaped(folder)}\n")
+    written: list[str] = []
+    try:
+        with progress() as bar:
+            task = bar.add_task("co-simulation", total=None)
+            comparisons = run_comparison(
+                studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
+            )
+        for comparison in comparisons:
+            folder = output / comparison.scenario.name
+            title = comparison.scenario.description or comparison.scenario.name
+            comparison.save(folder, partial(save_comparison, comparison.results, title=title))
+            written.append(comparison.scenario.name)
+            print_comparison(comparison)
+            console.print(f"results and pictures in {escaped(folder)}\n")
+    except KeyboardInterrupt:
+        kept = f"whole: {', '.join(written)}" if written else "nothing was kept"
+        console.print(f"interrupted: a comparison is written whole or not at all; {escaped(kept)}")
+        raise
 
 
 @app.command()

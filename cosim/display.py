@@ -100,7 +100,7 @@ def show_table(
             console.print(table)
             return
     for row in rows:
-        console.print(escaped(row[0] or "-"), style="bold")
+        console.print(escaped(f"{headings[0]} {row[0] or '-'}".strip()), style="bold")
         widest = max(map(cell_len, headings[1:]), default=0)
         for heading, cell in zip(headings[1:], row[1:], strict=True):
             if cell:

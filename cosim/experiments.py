@@ -20,7 +20,7 @@ from fmu_export.reading import read_json
 from .campaign import Job, run_all
 from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square
 from .master import Coupling
-from .metrics import NAMES, QUANTITIES, WINDOW, ZERO, Metrics, evaluate, kept_upright
+from .metrics import NAMES, QUANTITIES, WINDOW, ZERO, Metrics, evaluate, kept_upright, missing_signals
 from .results import Result
 from .scenario import Scenario, build_system, run_scenario
 
@@ -229,6 +229,16 @@ class Study:
         return scenario.changed({"controller.start.law": law})
 
 
+def check_outputs(scenario: Scenario, fmus: Path, folder: Path | None) -> None:
+    """Raise UserError for a system that cannot be coupled, or whose FMUs lack outputs that the metrics need."""
+    missing = missing_signals(Coupling(build_system(scenario, fmus, folder)).checked_outputs(scenario.record.outputs))
+    if missing:
+        raise UserError(
+            f"the metrics need {', '.join(missing)}, which the FMUs in {fmus} do not have as outputs, or the scenario does "
+            "not record; `export --outputs` can name them"
+        )
+
+
 def compare(
     studies: Sequence[Study],
     fmus: Path,
@@ -242,7 +252,7 @@ def compare(
     raises; on that, and on Ctrl-C, runs that have not begun are dropped and running ones stopped.
     """
     for study in studies:  # says what cannot work before anything runs
-        Coupling(build_system(study.scenario, fmus, study.folder))
+        check_outputs(study.scenario, fmus, study.folder)
     jobs = [
         Job((s, law, number), study.at(law, number).changed({"record.every": 1}), study.folder)
         for s, study in enumerate(studies)

@@ -131,9 +131,6 @@ def _kept_outputs(
     """Return per unit the outputs that stay such, None for all; raise UserError for others or without a wire's source."""
     if names is None:
         return [None for _ in interfaces]
-    for source, _ in wires:
-        if source not in names:
-            raise UserError(f"--outputs must name {source}, which a wire begins at")
     kept: dict[str, list[str]] = {unit: [] for unit in interfaces}
     for name in names:
         unit, _, variable = name.partition(".")
@@ -142,4 +139,7 @@ def _kept_outputs(
         kept[unit].append(variable)
     for unit, variables in kept.items():
         interfaces[unit].exposing(variables)  # refuses what is no output
+    for source, _ in wires:
+        if source not in names:
+            raise UserError(f"--outputs must name {source}, which a wire begins at")
     return list(kept.values())

@@ -174,7 +174,9 @@ def _refuse_entities(path: Path, xml: bytes) -> None:
 
 
 def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)
+    """Return the first line of an error's text, and where that announces a list its first item too."""
+    first, *others = str(error).splitlines() or [type(error).__name__]
+    return f"{first} {others[0].lstrip('- ')}" if first.endswith(":") and others else first
 
 
 def forget_unpacked() -> None:

@@ -155,8 +155,12 @@ class Coupling:
             raise UserError(f"{text} must join equal types, found {a.type} and {b.type}")
         if a.type not in RECORDED:
             raise UserError(f"{text} must join numbers or Booleans, found {a.type}")
-        if (a.unit or "1") != (b.unit or "1"):
+        if (a.unit or "1") == (b.unit or "1"):
+            return
+        if a.unit and b.unit:
             raise UserError(f"{text} must join equal units, found {a.unit} and {b.unit}")
+        (owner, name), unit = (target, a.unit) if a.unit else (source, b.unit)
+        self.instances[owner].messages.append(f"warning: {name} declares no unit and is taken to be in {unit}")
 
     def _check_single_sources(self) -> None:
         targets = [".".join(t) for _, t in self.wires] + [".".join(t) for t, _ in self.signals]

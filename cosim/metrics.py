@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, fields
 from typing import Literal
 
@@ -176,11 +177,20 @@ def wrapped(angle: Array) -> Array:
     return -((math.pi - angle) % (2.0 * math.pi) - math.pi)
 
 
+def missing_signals(known: Iterable[str]) -> list[str]:
+    """Return which signals the metrics need besides the `known` ones."""
+    there = set(known)
+    missing = [name for name in ("controller.voltage", "controller.mode") if name not in there]
+    pairs = [[f"plant.{a}{suffix}" for a in ("theta", "delta")] for suffix in ("_encoder", "")]
+    return missing + min(([name for name in pair if name not in there] for pair in pairs), key=len)
+
+
 def can_evaluate(result: Result) -> bool:
     """Return whether `result` has the signals that the metrics need."""
-    angles = ({f"plant.{a}{suffix}" for a in ("theta", "delta")} for suffix in ("", "_encoder"))
-    known = result.signals.keys()
-    return {"controller.voltage", "controller.mode"} <= known and any(pair <= known for pair in angles)
+    if missing_signals(result.signals):
+        return False
+    mode = result["controller.mode"]
+    return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
 def angle_norm(result: Result) -> Array:

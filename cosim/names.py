@@ -28,7 +28,7 @@ def is_plain(name: str) -> bool:
 
 def _checked(name: str) -> str:
     if not is_plain(name):
-        raise ValueError(f"must be a plain name, not a path: {shown(name)}")
+        raise ValueError(f"must be a plain name (no path, no device, not empty), found {shown(name)}")
     return name
 
 

@@ -49,6 +49,6 @@ class Provenance(_Part):
     scenario: ScenarioUsed = ScenarioUsed()
 
 
-def provenance(result: Result) -> Provenance:
-    """Return how `result` came about; raise UserError where its metadata say it in another way than this program."""
-    return checked(Provenance, result.metadata, "the result's metadata")
+def provenance(result: Result, source: object = "the result's metadata") -> Provenance:
+    """Return how `result` came about; raise UserError, which begins with `source`, for metadata of another shape."""
+    return checked(Provenance, result.metadata, str(source))

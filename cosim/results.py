@@ -37,6 +37,11 @@ BYTES_READ = 8
 MOST_BYTES = 8 * 2**30
 """Size of the largest table that is read [byte]."""
 
+WHOLE = ("controller.mode", "controller.fault", "hil.steps", "hil.missed", "hil.digital")
+"""Signals that hold whole numbers."""
+MOST_WHOLE = 2.0**31
+"""They are smaller."""
+
 Array = np.ndarray
 
 
@@ -69,11 +74,11 @@ class Result:
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
         columns = [self.time, *self.signals.values()]
-        table = [_names(["time", *self.signals]) + b"\n"]
-        for k in range(0, len(self.time), ROWS_AT_ONCE):
-            table.append(_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) + b"\n")
         about = {"units": self.units, "metadata": self.metadata}
         with uninterrupted():
+            table = [_names(["time", *self.signals]) + b"\n"]
+            for k in range(0, len(self.time), ROWS_AT_ONCE):
+                table.append(_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) + b"\n")
             header = {"format": FORMAT, "rows": len(self.time), "sha256": _sha256(table), **about}
             header["description_sha256"] = _seal(header)
             write_files({path: table, path.with_suffix(".json"): json.dumps(header, indent=1) + "\n"})
@@ -102,10 +107,12 @@ class Result:
             raise UserError(f"{path}: the columns must be time and signals with units, found {', '.join(names)}")
         columns = list(zip(*lines, strict=True)) or [() for _ in names]
         arrays = [_column(path, name, column) for name, column in zip(names, columns, strict=True)]
+        if not (np.isfinite(arrays[0]).all() and np.all(arrays[0][1:] > arrays[0][:-1])):
+            raise UserError(f"{path}: the time must grow from row to row")
         result = cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
         from .provenance import provenance  # noqa: PLC0415 - it needs this module
 
-        provenance(result)
+        provenance(result, f"{path.with_suffix('.json')}: metadata")
         return result
 
 
@@ -158,10 +165,15 @@ def _column(path: Path, name: str, texts: tuple[str, ...]) -> Array:
     try:
         if name != "time" and texts and all(text.lstrip("-").isdigit() for text in texts):
             return np.array(texts, dtype=np.int64)
-        return np.array(texts, dtype=np.float64)
+        values = np.array(texts, dtype=np.float64)
     except (ValueError, OverflowError):
         wrong = next((text for text in texts if not _is_number(text)), "a whole number beyond 64 bits")
         raise UserError(f"{path}: column {name} must hold numbers, found {wrong!r}") from None
+    broken = np.flatnonzero(~(np.abs(values) < MOST_WHOLE) | (values != np.rint(values)))
+    if name in WHOLE and len(broken):
+        row = int(broken[0])
+        raise UserError(f"{path}: column {name} must hold whole numbers, found {texts[row]} in row {row + 1}")
+    return values
 
 
 def _is_number(text: str) -> bool:

@@ -36,21 +36,21 @@ def check_disk(what: str, size: float, folder: Path, hint: str) -> None:
         raise UserError(f"{what} needs about {gigabytes(size)}, and {folder} has {gigabytes(free)} left; {hint}")
 
 
-def check_rows(rows: int, columns: int, every: int, runs: int = 1, folder: Path | None = None) -> None:
-    """Raise UserError where `runs` results of that many rows and columns of numbers do not fit.
+def check_rows(rows: int, columns: int, every: int, folder: Path | None = None) -> None:
+    """Raise UserError where a result of that many rows and columns of numbers does not fit.
 
-    size = 8 rows (columns + 1) runs in memory; `every` is the record.every that they were counted with; a `folder` is
-    where one of them is written as CSV.
+    size = 8 rows (columns + 1) in memory; `every` is the record.every that they were counted with; a `folder` is
+    where it is written as CSV.
     """
     numbers = float(rows) * (columns + 1)
-    size, text = 8.0 * numbers * runs, BYTES_IN_CSV * numbers
+    size, text = 8.0 * numbers, BYTES_IN_CSV * numbers
     if size < SMALL:
         return
     free = free_memory()
     parts = [] if free is None else [size / (SHARE * free)]
     parts += [] if folder is None else [text / free_disk(folder)]
     fitting = max(every + 1, math.ceil(1.1 * every * max(parts, default=0.0)))
-    what = f"{f'{runs} runs' if runs > 1 else 'the run'} of {rows} rows of {columns + 1} numbers"
+    what = f"the run of {rows} rows of {columns + 1} numbers"
     hint = f"record.every = {fitting}, fewer record.outputs or a shorter run.duration would do"
     check_memory(what, size, hint)
     if folder is not None:

@@ -24,7 +24,7 @@ from ihc_fmu.start_values import design_values
 from .campaign import Job, Journal, Numbers, run_numbers
 from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square
 from .errors import UserError
-from .experiments import UNSTEADY
+from .experiments import UNSTEADY, check_outputs
 from .metrics import QUANTITIES, Quantity, evaluate, kept_upright
 from .plots import OTHERS, save_figure
 from .results import Result
@@ -175,6 +175,7 @@ def tune(
     outcomes: dict[Point, Outcome] = {}
     runs: dict[Point, list[Numbers]] = {}
     start = Point(*families[0], 1.0, 1.0)
+    check_outputs(problem.at(start, designs[start.mu, start.u_max]), problem.fmus, problem.folder)
 
     def run(what: str, points: Iterable[Point]) -> None:
         jobs = [

@@ -65,6 +65,8 @@ MOST_STEPS = 20
 TOLERANCE = 1e-5
 """Relative change of the sum of squares, and of the parameters, at which the search ends."""
 
+LARGEST = 1e9
+"""Times [s], angles [rad] and voltages [V] of a log are smaller."""
 LEAST_POINTS = 8
 """Points of a segment."""
 LEAST_SEGMENTS = 4
@@ -319,8 +321,8 @@ def _signals(result: Result) -> tuple[Array, Array]:
         (ANGLES[1], angles[:, 1]),
         (voltage_name, voltage),
     ):
-        if not np.all(np.isfinite(values)):
-            raise UserError(f"the identification needs finite numbers, found others in {name}")
+        if not np.all(np.abs(values) < LARGEST):
+            raise UserError(f"the identification needs finite numbers below {LARGEST:g}, found others in {name}")
     if voltage_name == COMMANDED and about.order == "parallel":
         voltage = np.concatenate([voltage[:1], voltage[:-1]])  # a row then has the voltage of the next step
     return angles, voltage

@@ -38,6 +38,10 @@ class Replay:
     same_fmu: bool
 
 
+LEAST_ROWS = 2
+"""Rows with one sample between them."""
+
+
 def controller_of(result: Result, given: Path | None, fmus: Path) -> Path:
     """Return the controller FMU to use with a log: the file that the user named, or the log's own in the folder `fmus`.
 
@@ -79,6 +83,8 @@ def replay(result: Result, fmu: Path) -> Replay:
         raise UserError("a replay needs every row of a run in the order controller-first")
     if about.wires is not None and ("plant.theta_encoder", "controller.theta") not in about.wires:
         raise UserError("a replay needs a run whose controller got the encoders' angles and nothing else")
+    if len(result.time) < LEAST_ROWS:
+        raise UserError(f"a replay needs at least {LEAST_ROWS} rows, the log has {len(result.time)}")
     theta, delta = (result[name] for name in MEASURED)
     controller = Controller(Component("controller", fmu, start), about.step)
     names = (*controller.layout.reals, *controller.layout.integers)

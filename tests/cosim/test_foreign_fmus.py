@@ -180,6 +180,12 @@ def test_a_name_is_recorded_saved_and_read_whatever_it_is(odd, tmp_path, name):
     assert loaded[f"a.{name}"].tolist() == result.time.tolist()
 
 
+def test_a_variable_without_a_unit_takes_that_of_its_wire_and_says_so(odd):
+    fmu = odd(("y", "Real", "output", "rad"), ("u", "Real", "input", None))
+    result = simulate(System([Component("a", fmu), Component("b", fmu)], [Wire("a.y", "b.u")]), 1e-3, 2e-3)
+    assert result.metadata["messages"] == {"b": ["warning: u declares no unit and is taken to be in rad"]}
+
+
 def test_a_dotted_name_can_be_wired_and_driven(odd):
     fmu = odd(("p.u.x", "Real", "input", None), ("q.y", "Real", "output", None))
     system = System([Component("a", fmu), Component("b", fmu)], [Wire("a.q.y", "b.p.u.x")], [Signal("a.p.u.x", float)])

@@ -16,6 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from cosim import results as results_module
+from cosim import signals
 from cosim.errors import UserError
 from cosim.results import FORMAT, Result, versions
 
@@ -34,7 +36,8 @@ def results(draw):
     whole = arrays(np.int64, rows, elements=st.integers(-(2**63), 2**63 - 1))
     columns = draw(st.lists(floats | whole, max_size=4))
     signals = {f"part{i}.x": column for i, column in enumerate(columns)}
-    time = draw(arrays(np.float64, rows, elements=st.floats(allow_nan=False, allow_infinity=False)))
+    times = st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=rows, max_size=rows, unique=True)
+    time = np.array(sorted(draw(times)))
     units = {name: draw(st.text(max_size=3)) for name in signals}
     return Result(time, signals, units, draw(st.dictionaries(st.text(), JSON, max_size=3)))
 
@@ -193,6 +196,9 @@ def test_a_description_that_was_changed_is_refused(tmp_path, change, cause):
         (b"time,a.x\n0.0,99999999999999999999\n", {}, "column a.x must hold numbers, found 'a whole number beyond"),
         (b"time,a.x\n0.0,\xff\n", {}, "is not a table of numbers"),
         (b"time,a.x\n0.0," + b"9" * 200_000 + b"\n", {}, "is not a table of numbers"),
+        (b"time,a.x\n0.1,1.0\n0.0,1.0\n", {}, "the time must grow"),
+        (b"time,a.x\n0.0,1.0\nNaN,1.0\n", {}, "the time must grow"),
+        (b"time,hil.steps\n0.0,NaN\n", {"units": {"hil.steps": "1"}}, "whole numbers, found NaN in row 1"),
         (b"time,a.x\n0.0,1.0\n", {"units": ["V"]}, "units must be texts"),
         (b"time,a.x\n0.0,1.0\n", {"units": {"a.x": 1}}, "units must be texts"),
         (b"time,a.x\n0.0,1.0\n", {"metadata": None}, "is not the description of a result"),
@@ -204,16 +210,25 @@ def test_a_foreign_file_with_a_digest_is_refused_too(tmp_path, table, changes, c
     assert cause in refusal(path)
 
 
-def test_ctrl_c_while_a_result_is_written_waits_for_it(tmp_path, monkeypatch):
-    path, replace = tmp_path / "result.csv", Path.replace
+@pytest.mark.parametrize(("owner", "stage"), [(results_module, "_csv"), (Path, "replace")], ids=["text", "name"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_result_is_made_or_written_waits_for_it(tmp_path, monkeypatch, owner, stage, number):
+    path, original = tmp_path / "result.csv", getattr(owner, stage)
+    earlier = {n: signal.getsignal(n) for n in (signal.SIGINT, *signals.FORWARDED)}
 
-    def interrupted(self, target):
-        signal.raise_signal(signal.SIGINT)
-        return replace(self, target)
+    def interrupted(*arguments):
+        signal.raise_signal(number)
+        return original(*arguments)
 
-    monkeypatch.setattr(Path, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        example().save(path)
+    monkeypatch.setattr(owner, stage, interrupted)
+    signals.as_ctrl_c()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            example().save(path)
+        assert signals.exit_code() == 128 + number
+    finally:
+        for n, handler in earlier.items():
+            signal.signal(n, handler)
     assert bits(Result.load(path).time) == bits(example().time)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["result.csv", "result.json"]
 

@@ -120,11 +120,12 @@ def test_another_file_is_told(logs, fmu):
     assert (found.first, found.same_fmu) == (None, False)
 
 
-def test_a_log_without_rows_is_exact(logs, fmu):
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_log_without_a_sample_shows_nothing(logs, fmu, rows):
     log = logs()
-    empty = Result(log.time[:0], {n: s[:0] for n, s in log.signals.items()}, log.units, log.metadata)
-    found = replay(empty, fmu)
-    assert (found.samples, found.differing, found.first) == (0, 0, None)
+    short = Result(log.time[:rows], {n: s[:rows] for n, s in log.signals.items()}, log.units, log.metadata)
+    with pytest.raises(UserError, match=f"at least 2 rows, the log has {rows}"):
+        replay(short, fmu)
 
 
 @pytest.mark.parametrize(
