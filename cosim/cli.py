@@ -411,7 +411,7 @@ def compare(
             min=0,
             help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once.",
         ),
-    ] = 32,
+    ] = 128,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
@@ -598,7 +598,7 @@ def paper(
     console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")
 
 
-DEMO = {"swing_up": 32, "tilt": 32, "tilt_kalman": 32, "tilt_ideal": 0}
+DEMO = {"swing_up": 128, "tilt": 128, "tilt_kalman": 128, "tilt_ideal": 0}
 """The demonstration's scenarios, and their draws of the encoder offsets."""
 
 
