@@ -187,23 +187,33 @@ def design(
     options = Options(mu=mu, alpha=alpha, u_max=u_max, delta_max=delta_max, beta=beta, psi=psi, d_max=d_max)
     with problems.status("solving the matrix inequalities") as shown:
 
-        def limit(gain: Any) -> str:
+        def limit(gain: Any) -> float:
             say = "largest feasible alpha: between {:.4g} and {:.4g} 1/s"
-            try:
-                found = largest_alpha(A, b, gain, mu, progress=lambda low, high: shown.update(say.format(low, high)))
-            except InfeasibleError as error:
-                return f"not found: {error}"
-            return f"{found:.4g} 1/s"
+            return largest_alpha(A, b, gain, mu, progress=lambda low, high: shown.update(say.format(low, high)))
 
         try:
             found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
         except InfeasibleError as error:
             if method is Method.direct or psi or d_max:
                 raise
-            raise UserError(f"{error}; the largest feasible alpha is {limit(k_lin)}") from None
+            try:
+                largest = limit(k_lin)
+            except InfeasibleError as none:
+                raise UserError(f"{error}; the largest feasible alpha was not found: {none}") from None
+            if alpha > largest:
+                raise UserError(
+                    f"alpha = {alpha:g} 1/s is too large for this k_lin and mu, the largest feasible one is {largest:.4g} 1/s"
+                ) from None
+            raise UserError(
+                f"{error}: the largest unit ball could not be computed, although a P "
+                f"exists up to alpha = {largest:.4g} 1/s"
+            ) from None
         found.save(output)
         print_design(found)
-        console.print(f"largest feasible alpha for this k_lin and mu: {limit(found.k_lin)}")
+        try:
+            console.print(f"largest feasible alpha for this k_lin and mu: {limit(found.k_lin):.4g} 1/s")
+        except InfeasibleError as error:
+            console.print(f"largest feasible alpha for this k_lin and mu: not found: {escaped(error)}")
     console.print(f"wrote {escaped(output)}")
 
 

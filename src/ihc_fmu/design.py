@@ -391,6 +391,7 @@ def _checked_gain(k_lin: Array, A: Array, b: Array) -> Array:
         raise UserError(f"k_lin must have {len(b)} finite entries, found shape {k_lin.shape}")
     slowest = _slowest(A, b, k_lin)
     if slowest >= 0.0:
+        chain_form(A, b)  # refuses a pair for which no gain might
         raise UserError(
             f"k_lin must stabilize (A, b): the largest real part of the poles is {slowest:.4g} 1/s{_hint(A, b, k_lin)}"
         )

@@ -211,10 +211,25 @@ def test_a_wrong_flag_ends_with_code_2(tmp_path, arguments):
 
 def test_an_infeasible_alpha_names_the_largest_feasible_one(tmp_path):
     said = refused("design", "--mu", "0.5", "--alpha", "0.6", cwd=tmp_path)
-    found = re.search(r"alpha = 0\.6 1/s, mu = 0\.5.* the largest feasible alpha is ([\d.]+) 1/s$", said)
+    found = re.search(r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s$", said)
     assert found
     assert float(found.group(1)) == pytest.approx(0.437, abs=1e-3)
     assert files(tmp_path) == []
+
+
+def test_an_alpha_that_only_the_solver_fails_at_is_not_called_too_large(tmp_path):
+    """Ten integrators: a P exists, but the largest unit ball is beyond the solver."""
+    rows = [[float(j == i + 1) for j in range(10)] for i in range(10)]
+    gain = [-float(math.comb(10, i)) for i in range(10)]
+    (tmp_path / "ten.toml").write_text(f"A = {rows}\nb = {[0.0] * 9 + [1.0]}\nk_lin = {gain}\n", "utf-8")
+    said = refused("design", "--system", "ten.toml", "--alpha", "0.01", cwd=tmp_path)
+    assert re.search(r"failed numerically .*, although a P exists up to alpha = 0\.03\d* 1/s$", said)
+
+
+def test_a_pair_that_is_not_controllable_is_not_blamed_on_the_gain(tmp_path):
+    system = "A = [[1, 0], [0, 2]]\nb = [1, 0]\nk_lin = [-3, 0]\n"
+    (tmp_path / "mine.toml").write_text(system, "utf-8")
+    assert "(A, b) must be controllable" in refused("design", "--system", "mine.toml", cwd=tmp_path)
 
 
 def test_a_gain_that_does_not_stabilize_is_refused_with_its_pole(tmp_path):

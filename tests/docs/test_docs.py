@@ -53,7 +53,11 @@ def test_the_readmes_comparisons_have_the_form_that_make_tables_gives_them(name)
     pair = [1.0, 0.1] if name != "tilt_ideal" else [1.0, None]
     numbers = dict.fromkeys(tables.COLUMNS, pair)
     laws = {law: {**numbers, "steady": True} for law in ("LC", "SMC", "IHC")}
-    about = {"draws": 1 if name == "tilt_ideal" else 128, "laws": laws, "change": dict.fromkeys(("SMC", "IHC"), numbers)}
+    about = {
+        "draws": 1 if name == "tilt_ideal" else 128,
+        "laws": laws,
+        "change": dict.fromkeys(("SMC", "IHC"), numbers),
+    }
     expected = tables.comparison(name, about).strip().splitlines()
     assert [cells(line)[0] for line in found] == [cells(line)[0] for line in expected]
     assert cells(found[0]) == cells(expected[0])
