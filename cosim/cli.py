@@ -202,7 +202,7 @@ def design(
                 raise UserError(f"{error}; the largest feasible alpha was not found: {none}") from None
             if alpha > largest:
                 raise UserError(
-                    f"alpha = {alpha:g} 1/s is too large for this k_lin and mu, the largest feasible one is {largest:.4g} 1/s"
+                    f"alpha = {alpha:g} 1/s is too large for this k_lin, the largest feasible one is {largest:.4g} 1/s"
                 ) from None
             raise UserError(
                 f"{error}: the largest unit ball could not be computed, although a P "
