@@ -22,10 +22,11 @@ lint: $(VENV)/installed
 versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
 	$(BIN)/python -m tests.environments
 
-bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it; the hardware loop's timing
+bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it; the hardware loop's timing; the pair in foreign tools
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks.native_pair
 	$(BIN)/python -m benchmarks.hil --seconds 5
+	$(BIN)/python -m benchmarks.foreign_tools
 
 SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_export/adapter/*.[ch] cosim/native/*.[ch])
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmu_export.ownership import check_replaceable
+from fmu_export.ownership import check_replaceable, is_ours
 
 from . import signals
 from .display import (
@@ -381,6 +381,10 @@ def run(
         except KeyboardInterrupt:
             bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
             raise
+    earlier = path.with_suffix(".png")
+    if not plot and earlier.is_file() and is_ours(earlier):
+        earlier.unlink()
+        console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
     warn_of_messages(result)
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:

@@ -199,6 +199,9 @@ def _misfit(design_key: _Key, plant_key: _Key) -> str | None:
     found = min(_explanations(design, plant), key=len, default=None)
     if found is not None:
         return f"the controller was designed for another model than the plant's: {'; '.join(found)}"
+    near = d.stiffness <= LARGEST_DISTANCE and d.angle <= LARGEST_ANGLE and GAINS[0] <= d.gain <= GAINS[1]
+    if near and d.kinematics > KINEMATICS:
+        return "the controller was designed for another model than the plant's: its last two states are no rates"
     if np.allclose(*(_sorted_poles(model) for model in (design, plant)), rtol=0.05, atol=0.05):
         return "the controller was designed for this plant in other coordinates: the poles are the same, the states are not"
     return (

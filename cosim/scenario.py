@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import filecmp
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ from .names import PlainName
 from .results import Result
 from .toml_files import read_toml
 from .typed import Finite, Positive, checked
+
+SAMPLE_TIMES = next(v for v in CONTROLLER.variables if v.name == "sample_time").limits()
+"""Bounds of the controller's sample time [s]."""
 
 BUILT_IN = Path(__file__).parent / "scenarios"
 
@@ -266,7 +270,12 @@ def _controller_start(scenario: Scenario, fmu: Path, design: Path | None) -> dic
     own = _own_values(fmu)
     start: dict[str, StartValue] = {}
     if own.get("sample_time") == CONTROLLER.step_size:  # not chosen at export
-        start["sample_time"] = scenario.run.step
+        step, (low, high) = scenario.run.step, SAMPLE_TIMES
+        if not low <= step <= high and "sample_time" not in scenario.controller.start:
+            raise UserError(
+                f"run.step, as the controller's sample time, must lie in [{low:g}, {high:g}] s, found {step:g} s"
+            )
+        start["sample_time"] = step
     if design is not None:
         limit = scenario.controller.start.get("voltage_limit", own.get("voltage_limit"))
         start |= _design_values(design, limit)
@@ -300,18 +309,33 @@ def remarks(system: System) -> list[str]:
 
 
 def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[Path, Path, Path | None]:
-    """Return the paths of the plant FMU, the controller FMU and, where the scenario has one, the design."""
+    """Return the paths of the plant FMU, the controller FMU and, where the scenario has one, the design.
+
+    An FMU is beside the scenario or in the folder `fmus`; raises UserError where both have it and they differ.
+    """
 
     def find(file: str) -> Path:
-        beside = (folder or Path()) / file
-        return beside if folder is not None and is_file(beside) else fmus / file
+        beside, there = (folder or Path()) / file, fmus / file
+        if folder is None or not is_file(beside):
+            return there
+        if is_file(there) and not filecmp.cmp(beside, there, shallow=False):
+            raise UserError(
+                f"{beside} and {there} are different FMUs; --fmus {folder} takes the one beside the scenario, or remove one"
+            )
+        return beside
 
     design = scenario.controller.design
     return (
         find(scenario.plant.fmu),
         find(scenario.controller.fmu),
-        None if design is None else (folder or Path()) / design,
+        None if design is None else _beside_or_here(design, folder),
     )
+
+
+def _beside_or_here(file: str, folder: Path | None) -> Path:
+    """Return the path of a file that a scenario names: beside it if it is there, else in the current folder."""
+    beside = (folder or Path()) / file
+    return beside if is_file(beside) else Path(file)
 
 
 def random_measurement(seed: int) -> dict[str, StartValue]:

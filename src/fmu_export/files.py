@@ -138,9 +138,10 @@ def _beside(path: Path, kind: str = "") -> Iterator[tuple[IO[bytes], Path]]:
         beside = path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}.tmp")
         file = beside.open("xb")
     try:
-        with file:
-            yield file, beside
+        yield file, beside
     finally:
+        with suppress(OSError):  # closed already where all went well; a full disk fails here once more
+            file.close()
         with _named(path):
             beside.unlink(missing_ok=True)
 

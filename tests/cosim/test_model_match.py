@@ -105,6 +105,12 @@ def test_a_design_for_another_model_is_told_what_differs(model, expected):
     assert expected in found
 
 
+def test_states_that_are_no_rates_are_told():
+    found = misfit({**controller(A, B), "Phi_11": controller(A, B)["Phi_11"] * 3.0}, IDENT)
+    assert found is not None
+    assert "its last two states are no rates" in found
+
+
 def test_poles_that_are_the_same_are_not_called_a_difference():
     real = plant_model(IDENT)
     assert real is not None

@@ -19,6 +19,7 @@ from cosim.scenario import (
     Sine,
     build_system,
     built_in_names,
+    files,
     load_scenario,
     random_measurement,
     run_scenario,
@@ -369,6 +370,19 @@ def test_an_fmu_beside_the_scenario_goes_before_the_folder(fmus, tmp_path):
     assert paths == {"plant": tmp_path / "QubeServo2.fmu", "controller": fmus / "IhcController.fmu"}
     paths = {c.name: c.path for c in build_system(Scenario(), fmus).components}
     assert paths["plant"] == fmus / "QubeServo2.fmu"
+    shutil.copy(fmus / "IhcController.fmu", tmp_path / "QubeServo2.fmu")
+    with pytest.raises(
+        UserError, match=r"QubeServo2\.fmu are different FMUs; --fmus .* takes the one beside the scenario"
+    ):
+        build_system(Scenario(), fmus, tmp_path)
+    assert files(Scenario(), tmp_path, tmp_path)[0] == tmp_path / "QubeServo2.fmu"
+
+
+def test_a_step_that_is_no_sample_time_is_named(fmus):
+    with pytest.raises(
+        UserError, match=r"run\.step, as the controller's sample time, must lie in \[1e-06, 1\] s, found 10 s"
+    ):
+        build_system(Scenario().changed({"run.step": 10.0, "run.duration": 100.0}), fmus)
 
 
 def test_another_fmu_takes_the_plants_place(fmus, tiny_slave, tmp_path):

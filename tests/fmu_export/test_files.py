@@ -1,7 +1,9 @@
 """Files are written whole or not at all."""
 
+import io
 import os
 from pathlib import Path
+from unittest import mock
 
 import pytest
 
@@ -34,6 +36,20 @@ def test_a_block_that_fails_leaves_the_earlier_file(tmp_path):
         file.writelines([b"la", "ter"])  # type: ignore[list-item]
     assert [file.name for file in tmp_path.iterdir()] == ["kept.txt"]
     assert path.read_bytes() == b"earlier"
+
+
+def test_a_full_disk_is_named_also_where_closing_finds_it(tmp_path):
+    """What is written is small enough to wait in the file's buffer: the disk refuses it when it is flushed, and again."""
+
+    class Full(io.BufferedWriter):
+        def flush(self):
+            raise OSError(28, "No space left on device")
+
+    path = tmp_path / "new.txt"
+    full = mock.patch.object(Path, "open", lambda self, *_: Full(io.FileIO(self, "x")))
+    with full, pytest.raises(UserError, match=r"new\.txt cannot be written: No space left on device"):
+        write_file(path, "text")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_folders_are_made_and_text_bytes_and_pieces_taken(tmp_path):
