@@ -7,11 +7,14 @@ import os
 import shutil
 import signal
 import tempfile
+import time
 from pathlib import Path
 
 import pytest
 
 FOLDER = pytest.StashKey[Path]()
+PATIENCE = 30.0
+"""Longest time for workers to end [s]."""
 
 
 def pytest_configure(config) -> None:
@@ -26,13 +29,19 @@ def pytest_configure(config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_sessionfinish(session):
-    """Fail the run, after all workers have ended, for what they left; in a process without workers this comes too early."""
+    """Fail the run for what its workers left, once they have had the time to end and tidy up.
+
+    In a process without workers this comes too early.
+    """
     result = yield
     folder = session.config.stash.get(FOLDER, None)
     if folder is None or not session.config.pluginmanager.hasplugin("dsession"):
         return result
-    left = [path.name for path in folder.iterdir()]
-    running = using(folder)
+    deadline = time.monotonic() + PATIENCE
+    while (left := [path.name for path in folder.iterdir()]) + (running := using(folder)):
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.1)
     if left or running:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
         reporter = session.config.pluginmanager.get_plugin("terminalreporter")
