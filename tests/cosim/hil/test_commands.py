@@ -12,6 +12,7 @@ import signal
 import socket
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -297,7 +298,8 @@ def killed(tmp_path, fmus, port):
     for n in range(1, 6):
         folder = tmp_path / f"out {n}"
         options = ("--no-sign-test", "--duration", "60", "-o", str(folder))
-        loop = started("hil", "--fmus", str(fmus), "--device", f"udp://127.0.0.1:{port}", *options, cwd=tmp_path)
+        with mock.patch.dict(os.environ, TMPDIR=str(tmp_path)):  # a killed process leaves its unpacked FMUs behind
+            loop = started("hil", "--fmus", str(fmus), "--device", f"udp://127.0.0.1:{port}", *options, cwd=tmp_path)
         wait_for_rows(loop, folder, 150)
         loop.kill()
         if finished(loop).returncode == -signal.SIGKILL:
