@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmu_export.ownership import check_replaceable, is_ours
+from fmu_export.reading import read_toml
 
 from . import signals
 from .display import (
@@ -42,7 +43,6 @@ from .errors import Interrupted, SimulationError, UserError
 from .export import EXPORTED, Kind, Smc, export_units
 from .hil import commands as hil_commands
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
-from .toml_files import read_toml
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design

@@ -14,10 +14,11 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from .signals import STOPPING
+
 GRACE = 1.0
 """How long a run may take to end [s] before it counts as hanging."""
 
-_NUMBERS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 _SHOW_CURSOR = "\x1b[?25h"
 
 
@@ -57,7 +58,7 @@ def second_ends(last: Callable[[], str] = lambda: "") -> Iterator[None]:
 def _watch(reader: socket.socket, over: threading.Event, last: Callable[[], str]) -> None:
     received = 0
     while True:
-        numbers = [n for n in reader.recv(64) or b"\0" if n in _NUMBERS or not n]
+        numbers = [n for n in reader.recv(64) or b"\0" if n in STOPPING or not n]
         if 0 in numbers:  # the block is over
             return
         for number in numbers:

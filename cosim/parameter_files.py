@@ -16,11 +16,11 @@ from pathlib import Path
 from fmu_export.errors import shown
 from fmu_export.files import is_file, write_file
 from fmu_export.ownership import WRITTEN
+from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
 from .errors import UserError
-from .toml_files import read_toml
 
 SUFFIX = ".toml"
 

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from fmu_export.files import is_file, is_folder
 from fmu_export.ownership import WRITTEN
+from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from ihc_fmu.interface import INTERFACE as CONTROLLER
 from ihc_fmu.interface import VELOCITY_SOURCES
@@ -25,7 +26,6 @@ from .errors import UserError
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
 from .results import Result
-from .toml_files import read_toml
 from .typed import Finite, Positive, checked
 
 SAMPLE_TIMES = next(v for v in CONTROLLER.variables if v.name == "sample_time").limits()

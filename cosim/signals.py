@@ -9,6 +9,8 @@ import signal
 from types import FrameType
 
 FORWARDED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
+STOPPING = (signal.SIGINT, *FORWARDED)
+"""The signals that ask a process to end."""
 
 _received: list[int] = []
 

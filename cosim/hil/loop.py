@@ -21,6 +21,7 @@ from ..master import Component
 from ..metrics import STABILIZING
 from ..native_loop import NativeLoop
 from ..results import Result, versions
+from ..signals import STOPPING
 from . import checks
 from .device import LED_BALANCE, LED_IDLE, LED_STOPPED, LED_SWING_UP, Device, DeviceError
 from .guards import STALL_VOLTAGE, Action, Guard
@@ -55,8 +56,7 @@ class Report:
 def stop_signals() -> Iterator[list[int]]:
     """Collect SIGINT, SIGTERM and SIGHUP in a list; the loop looks at it after each sample."""
     received: list[int] = []
-    numbers = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
-    earlier = {number: signal.signal(number, lambda n, _: received.append(n)) for number in numbers}
+    earlier = {number: signal.signal(number, lambda n, _: received.append(n)) for number in STOPPING}
     try:
         yield received
     finally:

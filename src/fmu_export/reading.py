@@ -59,6 +59,11 @@ def read_json(path: Path, what: str, most: int = MOST_BYTES) -> Any:
     return parse_json(read_text(path, what, most), path)
 
 
+def read_toml(path: Path, what: str, most: int = MOST_BYTES) -> dict[str, Any]:
+    """Return the contents of a TOML file; raises as `read_text` and `parse_toml`."""
+    return parse_toml(read_text(path, what, most), path)
+
+
 def decoded(content: bytes, path: Path) -> str:
     """Return bytes read from `path` as text; raise UserError where they are not UTF-8."""
     try:

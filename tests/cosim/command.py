@@ -13,15 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
-from cosim import cli, display
+from cosim import cli, display, signals
 
 PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 """The environment for plain text in stdout and stderr."""
 
 for console in (display.console, display.problems):
     console.width = int(PLAIN["COLUMNS"])  # they have read the environment already
-
-HANDLED = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)]
 
 
 def journal_rows(path):
@@ -55,7 +53,7 @@ def ended(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
 @contextlib.contextmanager
 def _place(args: tuple[object, ...], cwd: Path) -> Iterator[None]:
     """Give this process arguments, environment and working folder; afterwards everything is as before, handlers too."""
-    handlers = {number: signal.getsignal(number) for number in HANDLED}
+    handlers = {number: signal.getsignal(number) for number in signals.STOPPING}
     with (
         mock.patch.object(sys, "argv", ["qube-ihc", *map(str, args)]),
         mock.patch.dict(os.environ, PLAIN),
