@@ -17,8 +17,8 @@ import numpy as np
 from fmu_export.native_build import build_library, host_platform
 from fmu_export.native_unit import struct_initializer
 from fmu_export.variables import Value
-from ihc_fmu.interface import MODES
-from ihc_fmu.native_unit import NATIVE as CONTROLLER
+from ihc_fmu.pendulum.interface import MODES
+from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
 
 SMALL_A_MIN = 0.1
 """An a_min that lets Algorithm 1 follow the norm near the origin, so that it bisects."""

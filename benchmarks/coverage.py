@@ -17,7 +17,7 @@ import numpy as np
 from cosim.export import export_units
 from cosim.hil.identify import identify
 from cosim.scenario import load_scenario, run_scenario
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 from plant_fmu.parameters import PARAMETER_SETS
 
 NAMES: tuple[str, ...] = ("D_r", "D_p", "T_r")

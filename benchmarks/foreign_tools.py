@@ -20,7 +20,7 @@ from pathlib import Path
 from cosim.export import export_units
 from cosim.master import Component, Order, System, simulate
 from cosim.scenario import WIRES
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 
 STEP, STEPS = 1e-3, 500
 ENDS = ("plant.theta_encoder", "plant.delta_encoder")

@@ -27,7 +27,7 @@ from cosim.master import Component
 from cosim.metrics import kept_upright
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 
 RATES = (500.0, 1000.0, 2000.0)
 PERCENTILES = ("p50", "p99", "p99.9", "max")

@@ -12,7 +12,7 @@ import numpy as np
 from fmu_export.native_build import build_library, host_platform
 from fmu_export.native_unit import NativeUnit, struct_initializer
 from fmu_export.variables import Value
-from ihc_fmu.native_unit import NATIVE as CONTROLLER
+from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
 from plant_fmu.native_unit import NATIVE as PLANT
 
 

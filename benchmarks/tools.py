@@ -34,8 +34,8 @@ from cosim.export import Kind, export_units
 from cosim.master import Component, Engine, Order, System, simulate
 from cosim.scenario import WIRES
 from fmu_export.variables import Value
+from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.sliding_mode import fitted_smc
-from ihc_fmu.start_values import controller_start_values, default_design
 from plant_fmu.interface import start_values as plant_start_values
 
 STEP = 1e-4

@@ -17,7 +17,7 @@ LOOP_BINARIES = Path(__file__).parent / "binaries"
 def build(platform: Platform | None = None) -> list[Path]:
     """Build what is missing or older than its sources; return the paths. Raises BuildError where the compiler fails."""
     from fmu_export.native_unit import unit_files  # noqa: PLC0415 - a run needs the loop only
-    from ihc_fmu.native_unit import NATIVE as CONTROLLER  # noqa: PLC0415
+    from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER  # noqa: PLC0415
     from plant_fmu.native_unit import NATIVE as PLANT  # noqa: PLC0415
 
     platform = platform or host_platform()

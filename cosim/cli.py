@@ -295,7 +295,7 @@ def export(
     A design or a parameter set only changes start values, so that nothing is compiled. `fmpy info FILE` shows them; each
     FMU carries its documentation. Native FMUs run without Python, the plant also for model exchange.
     """
-    from ihc_fmu.start_values import default_design
+    from ihc_fmu.pendulum.start_values import default_design
 
     changes: dict[str, dict[str, Any]] = {"plant": {}, "controller": {}}
     for name, value in assignments(change):
@@ -541,7 +541,7 @@ def tune(
     Writes all points as a table and a picture, and the best as a scenario and a design. Finished runs are kept: the same
     command, or one with more values, goes on from there.
     """
-    from ihc_fmu.start_values import default_design
+    from ihc_fmu.pendulum.start_values import default_design
 
     from .campaign import Journal
     from .scenario import load_scenario
@@ -594,7 +594,7 @@ def paper(
     """
     from dataclasses import replace
 
-    from ihc_fmu.start_values import default_design
+    from ihc_fmu.pendulum.start_values import default_design
 
     from .paper.report import make
     from .paper.study import FULL, QUICK, Study
@@ -622,7 +622,7 @@ def demo(
     fmus: FmusOption = Path("fmus"),
 ) -> None:
     """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare."""
-    from ihc_fmu.start_values import default_design
+    from ihc_fmu.pendulum.start_values import default_design
 
     from .experiments import LAWS, Study
     from .scenario import load_scenario

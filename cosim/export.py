@@ -59,11 +59,11 @@ def export_units(
     `other_model`, and BuildError for a missing binary or compiler.
     """
     from fmu_export.files import staging
-    from ihc_fmu.documentation import notes as controller_notes
-    from ihc_fmu.native_unit import NATIVE as CONTROLLER
-    from ihc_fmu.slave import IhcController
+    from ihc_fmu.pendulum.documentation import notes as controller_notes
+    from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
+    from ihc_fmu.pendulum.slave import IhcController
+    from ihc_fmu.pendulum.start_values import check_order, controller_start_values
     from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
-    from ihc_fmu.start_values import check_order, controller_start_values
     from plant_fmu.documentation import notes as plant_notes
     from plant_fmu.interface import start_values as plant_start_values
     from plant_fmu.native_unit import NATIVE as PLANT

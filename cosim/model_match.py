@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from fmu_export.errors import UserError
-from ihc_fmu.interface import STATES, matrix, vector
+from ihc_fmu.pendulum.interface import STATES, matrix, vector
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import QubeParameters
 

@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 
 from fmu_export.files import write_file
 from fmu_export.ownership import SOFTWARE
-from ihc_fmu.interface import LAWS
+from ihc_fmu.pendulum.interface import LAWS
 
 from .metrics import angle_norm, wrapped
 from .results import Result

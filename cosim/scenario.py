@@ -16,8 +16,8 @@ from fmu_export.files import is_file, is_folder
 from fmu_export.ownership import WRITTEN
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
-from ihc_fmu.interface import INTERFACE as CONTROLLER
-from ihc_fmu.interface import VELOCITY_SOURCES
+from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.interface import VELOCITY_SOURCES
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
@@ -387,7 +387,7 @@ def _design_values(path: Path, voltage_limit: StartValue | None) -> dict[str, St
 @lru_cache(maxsize=16)  # a design's proof takes longer than a run
 def _values_of(path: Path, voltage_limit: StartValue | None, _time: int, _size: int) -> dict[str, StartValue]:
     from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
-    from ihc_fmu.start_values import design_values  # noqa: PLC0415
+    from ihc_fmu.pendulum.start_values import design_values  # noqa: PLC0415
 
     design = Design.load(path)
     return dict(design_values(design) if voltage_limit is None else design_values(design, None, float(voltage_limit)))
@@ -412,6 +412,6 @@ def _kalman_values(own: Mapping[str, StartValue], start: Mapping[str, StartValue
 
 @lru_cache(maxsize=16)  # a Riccati equation
 def _kalman_gain(nominal: tuple[tuple[str, float], ...], sample_time: float) -> dict[str, StartValue]:
-    from ihc_fmu.start_values import kalman_values  # noqa: PLC0415 - heavy
+    from ihc_fmu.pendulum.start_values import kalman_values  # noqa: PLC0415 - heavy
 
     return dict(kalman_values(dict(nominal), sample_time))

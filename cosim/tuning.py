@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from fmu_export.files import staging, write_file
 from fmu_export.variables import Value
 from ihc_fmu.design import Design, Options, inverse_design
-from ihc_fmu.start_values import design_values
+from ihc_fmu.pendulum.start_values import design_values
 
 from .campaign import Job, Journal, Numbers, run_numbers
 from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square

@@ -22,8 +22,8 @@ from cosim.hil.faults import KINDS
 from cosim.metrics import QUANTITIES
 from cosim.scenario import Scenario
 from fmu_export.variables import Interface, Variable
-from ihc_fmu.interface import INTERFACE as CONTROLLER
-from ihc_fmu.start_values import controller_start_values, default_design
+from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from plant_fmu.interface import INTERFACE as PLANT
 from plant_fmu.interface import start_values as plant_start_values
 

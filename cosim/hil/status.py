@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ihc_fmu.interface import MODES
+from ihc_fmu.pendulum.interface import MODES
 
 from ..errors import UserError
 from .guards import digital_reason

@@ -11,8 +11,8 @@ import numpy as np
 from ihc_fmu.certificate import relative_eigenvalues
 from ihc_fmu.companion import chain_form, generator
 from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN
-from ihc_fmu.interface import upper_triangle, vector
-from ihc_fmu.start_values import zip_names
+from ihc_fmu.pendulum.interface import upper_triangle, vector
+from ihc_fmu.pendulum.start_values import zip_names
 
 from . import printed
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from fmu_export.files import write_file
 from ihc_fmu.design import Design, Options, inverse_design
-from ihc_fmu.interface import INTERFACE as CONTROLLER
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.start_values import default_design
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ihc_fmu.interface import vector
+from ihc_fmu.pendulum.interface import vector
+from ihc_fmu.pendulum.start_values import zip_names
 from ihc_fmu.sliding_mode import SlidingMode, fitted_smc, linear_pole_smc
-from ihc_fmu.start_values import zip_names
 
 from . import printed
 from .gains import K_LIN, A, B

@@ -14,7 +14,7 @@ import re
 import sys
 from collections.abc import Collection, Mapping
 from importlib.util import find_spec
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from .archive import content_guid, license_of, write_zip
 from .documentation import documents
@@ -70,9 +70,9 @@ def export_python_fmu(
 
 def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[str, bytes]:
     """Return the bundled package, the script that the wrapper loads, and the manifest."""
-    unit_package = slave.__module__.split(".")[0]
     code = {name.replace(".", "/") + ".py": text for name, text in _modules(slave.__module__).items()}
-    code |= {f"{package}/__init__.py": b"" for package in (unit_package, *SHARED)} | {"__init__.py": b""}
+    folders = {str(parent) for name in code for parent in PurePosixPath(name).parents} - {"."}
+    code |= {f"{folder}/__init__.py": b"" for folder in folders} | {"__init__.py": b""}
     digest = code_digest(code)
     script = f"{slave.interface.name}_{digest[:12]}"
     package = f"{script}_code"
@@ -117,7 +117,8 @@ def _modules(root: str) -> dict[str, bytes]:
                     f"{name} imports {imported}: code that runs in an FMU imports the standard library only"
                 )
         pattern = rf"^(\s*)from ({'|'.join(sorted(own))})\."
-        bundled = re.sub(pattern, r"\1from ..\2.", source, flags=re.MULTILINE)
+        dots = "." * (name.count(".") + 1)
+        bundled = re.sub(pattern, rf"\1from {dots}\2.", source, flags=re.MULTILINE)
         left = [imported for imported in _absolute_imports(bundled) if imported.split(".")[0] in own]
         if left:
             raise ImportError(f"{name} must import {left[0]} as `from PACKAGE.MODULE import NAME` to be bundled")
@@ -138,10 +139,10 @@ def _absolute_imports(source: str) -> set[str]:
 
 def _imports(source: str, module: str) -> set[str]:
     """Return the full names of the modules that `source` imports."""
-    package = module.rsplit(".", 1)[0]
     names = _absolute_imports(source)
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.level:
+            package = module.rsplit(".", node.level)[0]
             members = [node.module] if node.module else [alias.name for alias in node.names]
             names |= {f"{package}.{member}" for member in members}
     return names

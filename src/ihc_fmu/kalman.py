@@ -15,8 +15,8 @@ import numpy as np
 from fmu_export.errors import UserError
 
 from .homogeneity import Matrix, product, solve, transpose
-from .nominal_model import NominalModel
-from .velocity import BIAS_DECAY
+from .pendulum.nominal_model import NominalModel
+from .pendulum.velocity import BIAS_DECAY
 
 Array = np.ndarray
 

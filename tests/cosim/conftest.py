@@ -17,7 +17,7 @@ from cosim.master import Component
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
 from fmu_export.python_fmu import export_python_fmu
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 
 HERE = Path(__file__).parent
 

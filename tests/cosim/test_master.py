@@ -15,9 +15,9 @@ from cosim.errors import UserError
 from cosim.fmu import describe
 from cosim.master import PROGRESS_EVERY, Component, Interrupted, Signal, SimulationError, System, Wire, simulate
 from cosim.scenario import WIRES, build_system, load_scenario
-from ihc_fmu.interface import INTERFACE as CONTROLLER
-from ihc_fmu.start_values import controller_start_values
-from ihc_fmu.unit import IhcControllerUnit
+from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.start_values import controller_start_values
+from ihc_fmu.pendulum.unit import IhcControllerUnit
 from plant_fmu.interface import INTERFACE as PLANT
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.unit import QubePlant

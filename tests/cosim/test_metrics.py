@@ -24,7 +24,7 @@ from cosim.metrics import (
     wrapped,
 )
 from cosim.results import Result
-from ihc_fmu.interface import MODES
+from ihc_fmu.pendulum.interface import MODES
 
 TIME = np.arange(10_001) * 1e-3
 

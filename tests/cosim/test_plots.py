@@ -23,7 +23,7 @@ from cosim.plots import (
     save_overview,
 )
 from cosim.results import Result
-from ihc_fmu.interface import MODES
+from ihc_fmu.pendulum.interface import MODES
 
 TIME = np.arange(201) * 0.01
 

@@ -26,8 +26,8 @@ from cosim.scenario import (
 )
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.design import Options, inverse_design
-from ihc_fmu.interface import kalman_gains
-from ihc_fmu.start_values import kalman_values, nominal_values
+from ihc_fmu.pendulum.interface import kalman_gains
+from ihc_fmu.pendulum.start_values import kalman_values, nominal_values
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS, QubeParameters
 

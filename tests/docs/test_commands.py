@@ -20,7 +20,7 @@ import pytest
 
 from cosim.export import export_units
 from cosim.paper.study import FULL, Key, Study
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 from tests.cosim.command import PLAIN, ended
 
 ROOT = Path(__file__).parents[2]

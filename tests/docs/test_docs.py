@@ -12,7 +12,7 @@ from cosim.cli import app
 from cosim.experiments import Study, compare
 from cosim.export import export_units
 from cosim.scenario import Scenario, load_scenario
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

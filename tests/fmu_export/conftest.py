@@ -281,7 +281,7 @@ def name(request):
 
 @pytest.fixture(scope="session")
 def controller_start():
-    from ihc_fmu.start_values import controller_start_values, default_design
+    from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 
     return controller_start_values(default_design())
 
@@ -289,7 +289,7 @@ def controller_start():
 @pytest.fixture(scope="session")
 def slaves():
     """Each FMU's slave class by the FMU's name."""
-    from ihc_fmu.slave import IhcController
+    from ihc_fmu.pendulum.slave import IhcController
     from plant_fmu.slave import QubeServo2
 
     return dict(zip(NAMES, (QubeServo2, IhcController), strict=True))
@@ -323,7 +323,7 @@ def folders(tmp_path_factory, fmus):
 @pytest.fixture(scope="session")
 def native_units():
     """Each unit's native side by the FMU's name."""
-    from ihc_fmu.native_unit import NATIVE as CONTROLLER
+    from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
     from plant_fmu.native_unit import NATIVE as PLANT
 
     return dict(zip(NAMES, (PLANT, CONTROLLER), strict=True))

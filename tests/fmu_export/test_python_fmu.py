@@ -19,12 +19,13 @@ from fmu_export.python_fmu import export_python_fmu
 
 SRC = Path(fmu_export.__file__).parents[1]
 UNIT_PACKAGES = {"QubeServo2": "plant_fmu", "IhcController": "ihc_fmu"}
+SLAVE_MODULES = {"QubeServo2": "plant_fmu.slave", "IhcController": "ihc_fmu.pendulum.slave"}
 
 EXPORT = """
 import fmu_export
 from pathlib import Path
 from fmu_export.python_fmu import export_python_fmu
-from ihc_fmu.slave import IhcController
+from ihc_fmu.pendulum.slave import IhcController
 from plant_fmu.slave import QubeServo2
 for slave in (QubeServo2, IhcController):
     name = slave.interface.name
@@ -67,7 +68,7 @@ def louder_controller(tmp_path_factory, run_python, start):
     """The controller exported from a changed copy of the source."""
     folder = tmp_path_factory.mktemp("louder")
     shutil.copytree(SRC, folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
-    with (folder / "src/ihc_fmu/unit.py").open("a") as file:
+    with (folder / "src/ihc_fmu/pendulum/unit.py").open("a") as file:
         file.write(LOUDER)
     request = {"to": str(folder), "start": start}
     used = run_python(EXPORT, request, environment={"PYTHONPATH": str(folder / "src")})
@@ -300,10 +301,10 @@ def test_code_that_needs_more_than_the_standard_library_is_refused(
 # Whose code runs
 
 SEVERAL_IN_ONE_PROCESS = """
-import ihc_fmu.unit, plant_fmu.unit, fmu_export.guarded_slave
+import ihc_fmu.pendulum.unit, plant_fmu.unit, fmu_export.guarded_slave
 from conftest import Host
-from ihc_fmu.interface import INTERFACE
-from ihc_fmu.unit import IhcControllerUnit
+from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.unit import IhcControllerUnit
 from plant_fmu.interface import INTERFACE as PLANT
 from plant_fmu.unit import QubePlant
 
@@ -413,7 +414,7 @@ def test_script_that_runs_the_hosts_code_is_refused(name, folders, run_python, t
         "folder": str(folders[name]),
         "to": str(tmp_path),
         "files": [str(script.relative_to(folders[name]))],
-        "text": f"\nfrom {UNIT_PACKAGES[name]}.slave import {name}\n",
+        "text": f"\nfrom {SLAVE_MODULES[name]} import {name}\n",
         "beside_original": False,
     }
     (message,) = run_python(TAMPERED, request)

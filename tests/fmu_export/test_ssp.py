@@ -11,7 +11,7 @@ from fmpy.ssp.ssd import read_ssd
 from cosim.export import Kind, export_units
 from fmu_export.errors import UserError
 from fmu_export.ssp import OMS, SSC, SSD
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 
 UNITS = {"controller": "IhcController", "plant": "QubeServo2"}
 

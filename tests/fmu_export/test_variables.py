@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fmu_export.variables import Interface, Variable, did_you_mean
-from ihc_fmu.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from plant_fmu.interface import INTERFACE as PLANT
 
 reproducible = settings(deadline=None, derandomize=True, database=None)

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ihc_fmu import interface
 from ihc_fmu.companion import weights
 from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN, Options, inverse_design
 from ihc_fmu.homogeneity import homogeneous_norm, norm_polynomial, to_chain
 from ihc_fmu.laws import implicit_homogeneous
-from ihc_fmu.start_values import controller_start_values, default_design
-from ihc_fmu.unit import IhcControllerUnit
+from ihc_fmu.pendulum import interface
+from ihc_fmu.pendulum.start_values import controller_start_values, default_design
+from ihc_fmu.pendulum.unit import IhcControllerUnit
 from plant_fmu import interface as plant_interface
 from plant_fmu.parameters import parameter_set
 from plant_fmu.unit import QubePlant

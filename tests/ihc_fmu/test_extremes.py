@@ -11,8 +11,8 @@ from fmpy import extract
 
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.homogeneity import bisection_update
-from ihc_fmu.interface import INTERFACE, matrix, upper_triangle, vector
-from ihc_fmu.native_unit import NATIVE
+from ihc_fmu.pendulum.interface import INTERFACE, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.native_unit import NATIVE
 from tests.fmu_export.conftest import Host
 
 INPUTS = [v.name for v in INTERFACE.of("input")]

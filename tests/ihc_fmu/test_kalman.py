@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ihc_fmu.interface import INTERFACE
 from ihc_fmu.kalman import KalmanOptions, kalman_gain, linearize
-from ihc_fmu.nominal_model import nominal_model
-from ihc_fmu.start_values import kalman_values, nominal_values
-from ihc_fmu.velocity import BIAS_DECAY
+from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.nominal_model import nominal_model
+from ihc_fmu.pendulum.start_values import kalman_values, nominal_values
+from ihc_fmu.pendulum.velocity import BIAS_DECAY
 from plant_fmu import linearization
 from plant_fmu.parameters import PARAMETER_SETS
 

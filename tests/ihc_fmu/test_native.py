@@ -14,11 +14,11 @@ from fmpy.fmi1 import FMICallException
 
 from fmu_export.errors import UserError
 from fmu_export.native_fmu import export_native_fmu
-from ihc_fmu.interface import INTERFACE
-from ihc_fmu.native_unit import NATIVE
-from ihc_fmu.start_values import design_values, kalman_values
-from ihc_fmu.supervisor import Fault, Mode
-from ihc_fmu.unit import IhcControllerUnit
+from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.native_unit import NATIVE
+from ihc_fmu.pendulum.start_values import design_values, kalman_values
+from ihc_fmu.pendulum.supervisor import Fault, Mode
+from ihc_fmu.pendulum.unit import IhcControllerUnit
 from plant_fmu.native_unit import NATIVE as PLANT
 from plant_fmu.unit import QubePlant
 from tests.fmu_export.conftest import Host

@@ -36,7 +36,7 @@ from cosim.paper.study import (
 )
 from cosim.paper.variants import sweep_name
 from cosim.scenario import build_system, load_scenario, run_scenario
-from ihc_fmu.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import QubeParameters
 

@@ -8,9 +8,9 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.signal import cont2discrete, dlsim
 
-from ihc_fmu.nominal_model import nominal_model, predict
-from ihc_fmu.start_values import nominal_values
-from ihc_fmu.velocity import alpha_beta_gains, filter_decay, filter_velocity, observe
+from ihc_fmu.pendulum.nominal_model import nominal_model, predict
+from ihc_fmu.pendulum.start_values import nominal_values
+from ihc_fmu.pendulum.velocity import alpha_beta_gains, filter_decay, filter_velocity, observe
 from plant_fmu.parameters import parameter_set
 
 

@@ -11,13 +11,13 @@ from fmu_export.variables import Value
 from plant_fmu.dynamics import coefficients
 from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 
+from ..design import Design
+from ..homogeneity import dot, solve
+from ..kalman import kalman_gain, linearize
+from ..sliding_mode import SlidingMode, fitted_smc
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here
-from .design import Design
-from .homogeneity import dot, solve
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
-from .kalman import kalman_gain, linearize
 from .nominal_model import nominal_model
-from .sliding_mode import SlidingMode, fitted_smc
 
 CAPTURE_FRACTION = 0.85
 """Of the square of the voltage limit: capture where the homogeneous control |k x| needs at most 92 % of the limit."""

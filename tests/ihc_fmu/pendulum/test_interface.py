@@ -8,8 +8,8 @@ from collections import Counter
 import pytest
 
 from fmu_export.units import base_units
-from ihc_fmu.interface import INTERFACE, STATES, kalman_gains, matrix, upper_triangle, vector
-from ihc_fmu.unit import IhcControllerUnit
+from ihc_fmu.pendulum.interface import INTERFACE, STATES, kalman_gains, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.unit import IhcControllerUnit
 
 
 def test_inputs_and_outputs_come_in_the_order_of_the_fmu():
@@ -128,7 +128,9 @@ def test_outputs_match_the_interface_in_number_and_codes(controller):
 
 def test_online_part_needs_nothing_but_the_standard_library():
     """It travels inside the FMU; importing it in a fresh interpreter brings no other package along."""
-    script = "import ihc_fmu.unit, sys; print({m.partition('.')[0] for m in sys.modules} - sys.stdlib_module_names)"
+    script = (
+        "import ihc_fmu.pendulum.unit, sys; print({m.partition('.')[0] for m in sys.modules} - sys.stdlib_module_names)"
+    )
     found = subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:0] = {sys.path!r}; {script}"],
                            capture_output=True, text=True, check=True)  # fmt: skip
     names = set(found.stdout.strip("{}\n").replace("'", "").split(", "))

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 
 from fmu_export.errors import UserError
 
-from . import homogeneity, laws, velocity
+from .. import homogeneity, laws
+from . import velocity
 from .interface import (
     DISCRETIZATIONS,
     LAWS,

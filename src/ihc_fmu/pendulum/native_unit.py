@@ -15,7 +15,7 @@ from .unit import IhcControllerUnit
 NATIVE = NativeUnit(
     interface=INTERFACE,
     twin=IhcControllerUnit,
-    folder=Path(__file__).parent / "native",
+    folder=Path(__file__).parent.parent / "native",
     stem="ihc_controller",
     prefix="ihc",
 )

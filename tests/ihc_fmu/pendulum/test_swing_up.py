@@ -5,10 +5,10 @@ from math import cos, pi
 import numpy as np
 import pytest
 
-from ihc_fmu.interface import INTERFACE
-from ihc_fmu.nominal_model import accelerations, nominal_model, predict
-from ihc_fmu.start_values import nominal_values
-from ihc_fmu.swing_up import saturate, swing_up, swing_up_voltage
+from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.nominal_model import accelerations, nominal_model, predict
+from ihc_fmu.pendulum.start_values import nominal_values
+from ihc_fmu.pendulum.swing_up import saturate, swing_up, swing_up_voltage
 from plant_fmu.parameters import parameter_set
 
 LAW = swing_up(INTERFACE.start_values())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from .design import Design
+from ..design import Design
 
 
 def notes(design: Design, nominal: str) -> str:

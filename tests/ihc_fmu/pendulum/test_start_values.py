@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ihc_fmu.design import Design, inverse_design
-from ihc_fmu.interface import INTERFACE, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.interface import INTERFACE, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.start_values import controller_start_values, design_values, nominal_values
 from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
-from ihc_fmu.start_values import controller_start_values, design_values, nominal_values
 from plant_fmu.parameters import PARAMETER_SETS
 
 # x' P x of the same controller with |k x| <= 10 V on the unit ball, an independent solution of the inequalities

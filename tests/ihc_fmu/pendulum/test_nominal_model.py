@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ihc_fmu.nominal_model import accelerations, nominal_model, predict, voltage_for
-from ihc_fmu.start_values import nominal_values
+from ihc_fmu.pendulum.nominal_model import accelerations, nominal_model, predict, voltage_for
+from ihc_fmu.pendulum.start_values import nominal_values
 from plant_fmu import dynamics
 from plant_fmu.integrator import rk4_step
 from plant_fmu.parameters import PARAMETER_SETS, parameter_set

@@ -8,15 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from ihc_fmu import default_design as module
 from ihc_fmu.certificate import certify
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum import default_design as module
+from ihc_fmu.pendulum.start_values import default_design
 
 EXPORT = """
 import hashlib, sys
 from pathlib import Path
 from cosim.export import export_units
-from ihc_fmu.start_values import default_design
+from ihc_fmu.pendulum.start_values import default_design
 for file in export_units(default_design(), output=Path(sys.argv[1])):
     print(file.name, hashlib.sha256(file.read_bytes()).hexdigest())
 """

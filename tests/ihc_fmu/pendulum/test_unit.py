@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ihc_fmu import homogeneity, laws
-from ihc_fmu.interface import INTERFACE
+from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.supervisor import Fault, Mode
 from ihc_fmu.sliding_mode import fitted_smc
-from ihc_fmu.supervisor import Fault, Mode
 
 OUTPUTS = [v.name for v in INTERFACE.of("output")]
 STATE_INPUT = {"velocity_source": "inputs"}

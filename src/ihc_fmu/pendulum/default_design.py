@@ -1,6 +1,6 @@
 """The default design, solved once and shipped as data: the solver's last digits depend on the processor.
 
-    python -m ihc_fmu.default_design
+    python -m ihc_fmu.pendulum.default_design
 
 solves it anew and writes `default_design.json` beside this file.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .design import PAPER_A, PAPER_B, PAPER_K_LIN, Design, Options, inverse_design
+from ..design import PAPER_A, PAPER_B, PAPER_K_LIN, Design, Options, inverse_design
 
 FILE = Path(__file__).with_name("default_design.json")
 
