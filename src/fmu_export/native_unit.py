@@ -28,10 +28,11 @@ _ROLES = {"parameter": "params", "input": "inputs", "output": "outputs", "local"
 class NativeUnit:
     """A unit written in C.
 
-    `folder` holds `<stem>.h`, `<stem>.c` and `<stem>_fmu.c`; `prefix` begins the names of its structs. The fields of the
-    structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array NAME. `twin` is the same unit
-    in Python, whose construction refuses start values that contradict each other. `model_exchange` tells its structure for
-    given start values, None for co-simulation only.
+    `folder` holds `<stem>.h`, `<stem>.c`, `<stem>_fmu.c` and the `headers` that the unit shares with others, those of its
+    FMI part ending with `_fmu.h`; `prefix` begins the names of its structs. The fields of the structs are named as the
+    variables; consecutive variables NAME_1, NAME_2, ... are an array NAME. `twin` is the same unit in Python, whose
+    construction refuses start values that contradict each other. `model_exchange` tells its structure for given start
+    values, None for co-simulation only.
     """
 
     interface: Interface
@@ -41,11 +42,19 @@ class NativeUnit:
     prefix: str
     model_exchange: Callable[[Mapping[str, Value]], ModelExchange] | None = None
     largest_model_exchange: ModelExchange | None = None
+    headers: tuple[str, ...] = ()
+
+    @property
+    def core(self) -> dict[str, Path]:
+        """The unit's source files by name that know nothing of FMI."""
+        names = [f"{self.stem}.c", f"{self.stem}.h", *(name for name in self.headers if not name.endswith("_fmu.h"))]
+        return {name: self.folder / name for name in names}
 
     @property
     def sources(self) -> dict[str, Path]:
         """Hand-written source files by name, the adapter's included, headers too."""
-        own = [self.folder / f"{self.stem}{end}" for end in (".c", "_fmu.c", ".h")]
+        own = [*self.core.values(), self.folder / f"{self.stem}_fmu.c"]
+        own += [self.folder / name for name in self.headers if name.endswith("_fmu.h")]
         shared = [ADAPTER / name for name in (*ADAPTER_SOURCES, "fmu_instance.h", "fmu_names.h", "fmu_unit.h")]
         return {file.name: file for file in (*own, *shared)}
 
