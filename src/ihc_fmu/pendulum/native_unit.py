@@ -21,5 +21,5 @@ NATIVE = NativeUnit(
     folder=Path(__file__).parent.parent / "native",
     stem="ihc_controller",
     prefix="ihc",
-    headers=CORE_HEADERS,
+    common=CORE_HEADERS,
 )

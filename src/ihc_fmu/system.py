@@ -1,0 +1,454 @@
+"""A linear system x' = A x + B u, y = C x with the names, units, limits and sensors that its controller needs to know.
+
+It is made from arrays, from a `control.StateSpace` or from a TOML file:
+
+    name = "crane"
+    A = [[0, 1, 0, 0], [0, -0.5, 2.4, 0], [0, 0, 0, 1], [0, -1.1, -27.0, -0.1]]
+    B = [[0], [1.0], [0], [2.2]]            # b = [...] for one input
+    K = [[-3.2, -4.1, 9.0, 0.6]]            # u = K x, k_lin = [...] for one input; or lqr = { Q = [...], R = [...] }
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError, solve_continuous_are
+
+from fmu_export.errors import UserError, shown
+from fmu_export.files import write_file
+from fmu_export.ownership import WRITTEN
+from fmu_export.reading import read_toml
+from fmu_export.variables import did_you_mean
+
+Array = np.ndarray
+
+LARGEST = 1e300
+"""Numbers of a system are smaller."""
+LONGEST_NAME = 100
+"""Most characters of a name or a unit."""
+LAWS = ("u = K x", "u = -K x")
+"""How a gain may be meant."""
+
+
+class Quantity(NamedTuple):
+    """A state, an input or an output: its name and its unit, "1" for none."""
+
+    name: str
+    unit: str = "1"
+
+    def __str__(self) -> str:
+        return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
+
+    @classmethod
+    def parse(cls, text: str) -> Quantity:
+        """Return the quantity that "position [m]" or "position" means; the bracket of a unit stands behind a blank."""
+        match = re.fullmatch(r"(.*\S)\s+\[([^\[\]]+)\]", text.strip())
+        name, unit = (match[1], match[2].strip()) if match else (text.strip(), "1")
+        for part in (name, unit):
+            if not part or len(part) > LONGEST_NAME or not part.isprintable():
+                raise UserError(f"a quantity must be a printable name and perhaps a [unit], found {shown(text)}")
+        return cls(name, unit)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class System:
+    """x' = A x + B (u - u_eq), y - y_eq = C x, with x the deviation of the states from x_eq.
+
+    A (n, n), B (n, m). C (p, n): what is measured; None: the states themselves. K (m, n): a linear controller that works,
+    u = K x, or None. `name` is a C identifier; FMUs and files are named after it. `states`, `inputs`, `outputs` are names
+    with units, as Quantity or "name [unit]". `lower`, `upper` (m,): limits of the inputs as the plant takes them, infinite
+    for none. `resolutions` (p,): step of a counting sensor, `deviations` (p,): standard deviation of a sensor's noise, 0 for
+    none. `sample_time` [s]: of the controller. `set_points`: outputs with a reference. `biases`: outputs whose bias a Kalman
+    filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, None: chosen.
+
+    Raises UserError that names the entry, its rule and what was found.
+    """
+
+    A: Array
+    B: Array
+    C: Array | None = None
+    K: Array | None = None
+    name: str = "system"
+    states: tuple[Quantity, ...] = ()
+    inputs: tuple[Quantity, ...] = ()
+    outputs: tuple[Quantity, ...] = ()
+    lower: Array | None = None
+    upper: Array | None = None
+    resolutions: Array | None = None
+    deviations: Array | None = None
+    sample_time: float = 1e-3
+    x_eq: Array | None = None
+    u_eq: Array | None = None
+    y_eq: Array | None = None
+    set_points: tuple[str, ...] = ()
+    biases: tuple[str, ...] = ()
+    bandwidth: float | None = None
+    measures_state: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._set("A", _matrix("A", self.A))
+        n = len(self.A)
+        if n == 0 or self.A.shape != (n, n):
+            raise UserError(f"A must be a square matrix, found shape {self.A.shape}")
+        B = np.asarray(self.B, dtype=float) if not isinstance(self.B, list) else _matrix("B", self.B, flat=True)
+        self._set("B", _matrix("B", B[:, None] if B.ndim == 1 else B))
+        if self.B.shape[0] != n or self.B.shape[1] == 0:
+            raise UserError(f"B must have {n} rows to fit A, found shape {self.B.shape}")
+        m = self.B.shape[1]
+        self._set("measures_state", self.C is None)
+        self._set("C", np.eye(n) if self.C is None else _matrix("C", self.C))
+        assert self.C is not None
+        if self.C.shape[1] != n or not len(self.C):
+            raise UserError(f"C must have {n} columns to fit A, found shape {self.C.shape}")
+        if self.K is not None:
+            K = np.asarray(self.K, dtype=float)
+            self._set("K", _matrix("K", K[None, :] if K.ndim == 1 else K))
+            if self.K.shape != (m, n):
+                raise UserError(f"K must have {m} rows of {n} numbers to fit B and A, found shape {self.K.shape}")
+        self._take_names(n, m, len(self.C))
+        self._take_vectors(n, m, len(self.C))
+        for value in (getattr(self, f.name) for f in fields(self)):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    def _set(self, name: str, value: object) -> None:
+        object.__setattr__(self, name, value)
+
+    def _take_names(self, n: int, m: int, p: int) -> None:
+        if not self.name.isidentifier() or not self.name.isascii() or len(self.name) > LONGEST_NAME:
+            raise UserError(f"name must be a short C identifier, found {shown(self.name)}")
+        if self.measures_state and self.outputs:
+            raise UserError("outputs must come with C; without C the states are measured")
+        for kind, letter, count in (("states", "x", n), ("inputs", "u", m), ("outputs", "y", p)):
+            given = getattr(self, kind) or [f"{letter}{i}" for i in range(1, count + 1)]
+            found = tuple(q if isinstance(q, Quantity) else Quantity.parse(q) for q in given)
+            if len(found) != count:
+                raise UserError(f"{kind} must be {count} names to fit the matrices, found {len(found)}")
+            self._set(kind, found)
+        if self.measures_state:
+            self._set("outputs", self.states)
+        for one, others in (("states", "states"), ("inputs", "inputs"), ("outputs", "outputs")):
+            _check_unique([q.name for q in getattr(self, one)], others)
+        both = {q.name for q in self.inputs} & {q.name for q in (*self.states, *self.outputs)}
+        if both:
+            raise UserError(f"inputs must have other names than states and outputs, found {shown(min(both))} twice")
+        for kind in ("set_points", "biases"):
+            self._set(kind, tuple(getattr(self, kind)))
+            _check_unique(getattr(self, kind), kind)
+            for name in getattr(self, kind):
+                self.output(name, kind)
+
+    def _take_vectors(self, n: int, m: int, p: int) -> None:
+        for name, count, default in (
+            ("x_eq", n, 0.0),
+            ("u_eq", m, 0.0),
+            ("y_eq", p, 0.0),
+            ("resolutions", p, 0.0),
+            ("deviations", p, 0.0),
+            ("lower", m, -np.inf),
+            ("upper", m, np.inf),
+        ):
+            value = getattr(self, name)
+            value = np.full(count, default) if value is None else np.array(value, dtype=float)
+            if value.shape != (count,):
+                name = "limits" if name in ("lower", "upper") else name  # noqa: PLW2901 - as in files
+                raise UserError(f"{name} must be {count} numbers to fit the matrices, found shape {value.shape}")
+            self._set(name, value)
+        for name in ("x_eq", "u_eq", "y_eq", "resolutions", "deviations"):
+            _matrix(name, getattr(self, name)[None, :])
+        for name in ("resolutions", "deviations"):
+            if (getattr(self, name) < 0.0).any():
+                raise UserError(f"{name} must not be negative, found {getattr(self, name).min():g}")
+        assert self.lower is not None
+        assert self.upper is not None
+        assert self.u_eq is not None
+        if not (self.lower < self.upper).all():
+            raise UserError(f"limits must be apart, lower below upper, found {self.lower} and {self.upper}")
+        if not ((self.lower < self.u_eq) & (self.u_eq < self.upper)).all():
+            raise UserError(f"limits must leave room around the inputs at the equilibrium, found {self.u_eq}")
+        if not 0.0 < self.sample_time < LARGEST:
+            raise UserError(f"sample_time must be positive and finite [s], found {self.sample_time}")
+        if self.bandwidth is not None and not 0.0 < self.bandwidth < LARGEST:
+            raise UserError(f"bandwidth must be positive and finite [rad/s], found {self.bandwidth}")
+
+    @property
+    def n(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def m(self) -> int:
+        """Number of inputs."""
+        return self.B.shape[1]
+
+    @property
+    def p(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    @property
+    def b(self) -> Array:
+        """The only column of B, shape (n,); UserError for several inputs."""
+        if self.m != 1:
+            raise UserError(f"b is for systems with one input, found {self.m} inputs")
+        return self.B[:, 0]
+
+    def output(self, name: str, what: str = "output") -> int:
+        """Return the index of an output; raise UserError for another name."""
+        names = [q.name for q in self.outputs]
+        if name not in names:
+            raise UserError(f"{what} must name outputs, found {shown(name)}{did_you_mean(name, names)}")
+        return names.index(name)
+
+    def changed(self, **changes: Any) -> System:
+        """Return the system with fields replaced; C stays absent where it was."""
+        kept = {"C": None, "outputs": ()} if self.measures_state and "C" not in changes else {}
+        return replace(self, **{**kept, **changes})
+
+    def with_lqr(self, Q: Array, R: Array) -> System:
+        """Return the system with the gain of the linear-quadratic regulator, K = -R^-1 B' S.
+
+        S solves A' S + S A - S B R^-1 B' S + Q = 0. Q (n, n) or (n,) for a diagonal, R (m, m) or (m,). Raises UserError for
+        weights without a stabilizing solution.
+        """
+        weights = []
+        for name, value, size in (("Q", Q, self.n), ("R", R, self.m)):
+            W = np.asarray(value, dtype=float)
+            W = np.diag(W) if W.ndim == 1 else W
+            if W.shape != (size, size) or not np.isfinite(W).all() or np.abs(W - W.T).max() > 1e-9 * np.abs(W).max():
+                raise UserError(
+                    f"lqr.{name} must be {size} numbers, or a symmetric matrix of that size, found {shown(value)}"
+                )
+            if np.linalg.eigvalsh(W)[0] < (0.0 if name == "Q" else 1e-300):
+                raise UserError(f"lqr.{name} must be {'positive semidefinite' if name == 'Q' else 'positive definite'}")
+            weights.append(W)
+        try:
+            S = solve_continuous_are(self.A, self.B, *weights)
+            K = -np.linalg.solve(weights[1], self.B.T @ S)
+        except (LinAlgError, ValueError):
+            K = np.full((self.m, self.n), np.nan)
+        if not np.isfinite(K).all() or np.linalg.eigvals(self.A + self.B @ K).real.max() >= 0.0:
+            raise UserError(
+                "lqr has no stabilizing solution: (A, B) must be stabilizable, and Q must see unstable states"
+            )
+        return self.changed(K=K)
+
+    @classmethod
+    def from_state_space(cls, model: Any, K: Array | None = None, law: str | None = None, **rest: Any) -> System:
+        """Return the system of a `control.StateSpace`, or of any object with A, B, C, D of a continuous-time model.
+
+        `law` says how K is meant: "u = K x" as here, or "u = -K x" as `control.lqr` returns it; with K it must be given.
+        `rest` are other fields of System; labels of the model become names where none are given. A C that is the unit
+        matrix stands for measured states.
+        """
+        if getattr(model, "dt", None) not in (None, 0):
+            raise UserError(f"the model must be in continuous time, found dt = {model.dt}")
+        if np.any(np.asarray(model.D, dtype=float)):
+            raise UserError("the model must have D = 0")
+        C = np.asarray(model.C, dtype=float)
+        given: dict[str, Any] = {"A": np.asarray(model.A), "B": np.asarray(model.B), "K": meant(K, law)}
+        if C.shape != np.shape(model.A) or not np.array_equal(C, np.eye(len(C))):
+            given["C"] = C
+        for name, label in (("states", "state_labels"), ("inputs", "input_labels"), ("outputs", "output_labels")):
+            if getattr(model, label, None) and not (name == "outputs" and "C" not in given):
+                given[name] = tuple(getattr(model, label))
+        return cls(**{**given, **rest})
+
+    @classmethod
+    def load(cls, path: Path) -> System:
+        """Return the system of a TOML file; errors name the file."""
+        data = read_toml(path, "system")
+        try:
+            return from_dict(data)
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what `from_dict` reads, in plain types; what is as by default is left out."""
+        assert self.lower is not None
+        assert self.upper is not None
+        found: dict[str, Any] = {"name": self.name, "A": self.A.tolist(), "B": self.B.tolist()}
+        if not self.measures_state:
+            assert self.C is not None
+            found["C"] = self.C.tolist()
+        if self.K is not None:
+            found["K"] = self.K.tolist()
+        found |= {kind: [str(q) for q in getattr(self, kind)] for kind in ("states", "inputs")}
+        if not self.measures_state:
+            found["outputs"] = [str(q) for q in self.outputs]
+        if np.isfinite(self.lower).any() or np.isfinite(self.upper).any():
+            found["limits"] = [[float(low), float(high)] for low, high in zip(self.lower, self.upper, strict=True)]
+        for name in ("resolutions", "deviations"):
+            if getattr(self, name).any():
+                found[name] = getattr(self, name).tolist()
+        found["sample_time"] = self.sample_time
+        if self.x_eq.any() or self.u_eq.any() or self.y_eq.any():  # type: ignore[union-attr]
+            names = (("states", self.x_eq), ("inputs", self.u_eq), ("outputs", self.y_eq))
+            found["equilibrium"] = {name: value.tolist() for name, value in names}  # type: ignore[union-attr]
+        for name in ("set_points", "biases"):
+            if getattr(self, name):
+                found[name] = list(getattr(self, name))
+        if self.bandwidth is not None:
+            found["bandwidth"] = self.bandwidth
+        return found
+
+    def to_toml(self, comment: str = "") -> str:
+        """Return the text of a TOML file that `load` reads; `comment` lines stand at its head."""
+        import tomli_w  # noqa: PLC0415
+
+        head = [f"# {line}".rstrip() for line in (WRITTEN, *comment.splitlines())]
+        rows = {}
+        for name in ("A", "B", "C", "K"):  # a row a line, which no writer of TOML does
+            data = self.as_dict().get(name)
+            if data is not None:
+                lines = ",\n".join(f"    [{', '.join(map(repr, row))}]" for row in data)
+                rows[name] = f"{name} = [\n{lines},\n]\n"
+        rest = {name: value for name, value in self.as_dict().items() if name not in rows}
+        text = tomli_w.dumps({"name": rest.pop("name")}) + "".join(rows.values()) + tomli_w.dumps(rest)
+        return "\n".join(head) + "\n" + text
+
+    def save(self, path: Path, comment: str = "") -> None:
+        """Write the TOML file, whole or not at all; raise UserError where it cannot be written."""
+        write_file(path, self.to_toml(comment))
+
+
+def meant(K: Array | None, law: str | None) -> Array | None:
+    """Return the gain of u = K x, given one and how it is meant, "u = K x" or "u = -K x".
+
+    Raises UserError where a gain comes without `law`: toolboxes differ, and a sign is not guessed.
+    """
+    if K is None:
+        return None
+    if law not in LAWS:
+        raise UserError(f"law must say how K is meant, {' or '.join(map(repr, LAWS))}, found {law!r}")
+    return np.asarray(K, dtype=float) if law == LAWS[0] else -np.asarray(K, dtype=float)
+
+
+def _check_unique(names: Sequence[str], kind: str) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise UserError(f"{kind} must have different names, found {shown(name)} twice")
+
+
+def _matrix(name: str, value: object, *, flat: bool = False) -> Array:
+    """Return a matrix of finite numbers; with `flat` a row of numbers may stand for a column."""
+    try:
+        found = np.array(value, dtype=float)
+    except (TypeError, ValueError):
+        raise UserError(f"{name} must be rows of numbers, all of one length, found {shown(value)}") from None
+    if found.ndim != 2 and not (flat and found.ndim == 1):
+        raise UserError(f"{name} must be rows of numbers, all of one length, found shape {found.shape}")
+    if not (np.abs(found) < LARGEST).all():
+        raise UserError(f"{name} must be finite, found {found[~(np.abs(found) < LARGEST)].flat[0]}")
+    return found
+
+
+_ALIASES = {"b": "B", "k_lin": "K"}
+"""Names for one input, whose values are rows."""
+_VECTORS = ("resolutions", "deviations")
+_TEXTS = ("states", "inputs", "outputs", "set_points", "biases")
+_EQUILIBRIUM = {"states": "x_eq", "inputs": "u_eq", "outputs": "y_eq"}
+ENTRIES = (
+    *("name", "A", "B", "b", "C", "K", "k_lin", "lqr", *_TEXTS, "limits", *_VECTORS),
+    *("sample_time", "equilibrium", "bandwidth"),
+)
+"""Entries of a system file."""
+
+
+def from_dict(data: object) -> System:
+    """Return the system that the entries of a file mean; raise UserError that names the entry, the rule and the value."""
+    if not isinstance(data, Mapping):
+        raise UserError(f"a system must be a table of entries, found {shown(data)}")
+    for name in data:
+        if name not in ENTRIES:
+            raise UserError(f"a system has no entry {shown(name)}{did_you_mean(str(name), ENTRIES)}")
+    for short, long in (*_ALIASES.items(), ("lqr", "K"), ("lqr", "k_lin")):
+        if short in data and long in data:
+            raise UserError(f"a system has {short} or {long}, found both")
+    given = {_ALIASES.get(name, name): value for name, value in data.items()}
+    for name in ("A", "B"):
+        if name not in given:
+            raise UserError(f"a system must have {name}")
+    found = {name: _READERS[name](name, value) for name, value in given.items() if name in _READERS}
+    found |= _limits(given.get("limits")) | _equilibrium(given.get("equilibrium", {}))
+    system = System(**found)
+    return _with_lqr(system, given["lqr"]) if "lqr" in given else system
+
+
+def _read_text(name: str, value: object) -> str:
+    if not isinstance(value, str):
+        raise UserError(f"{name} must be a text, found {shown(value)}")
+    return value
+
+
+def _read_texts(name: str, value: object) -> tuple[str, ...]:
+    if not isinstance(value, list):
+        raise UserError(f"{name} must be a list of texts, found {shown(value)}")
+    return tuple(_read_text(f"each of {name}", entry) for entry in value)
+
+
+def _read_rows(name: str, value: Any) -> Any:
+    return _check_numbers(name, value, 1 if name in ("B", "K") and _is_row(value) else 2)
+
+
+def _read_number(name: str, value: Any) -> float:
+    return float(_check_numbers(name, value, 0))
+
+
+def _is_row(value: object) -> bool:
+    return isinstance(value, list) and not any(isinstance(entry, list) for entry in value)
+
+
+def _check_numbers(name: str, value: Any, levels: int) -> Any:
+    """Return a number, a list or a list of lists of numbers; raise UserError that names it for anything else."""
+    if not _are_numbers(value, levels):
+        kind = ("a number", "a list of numbers", "rows of numbers")[levels]
+        raise UserError(f"{name} must be {kind}, found {shown(value)}")
+    return value
+
+
+def _are_numbers(value: object, levels: int) -> bool:
+    if not levels:
+        return not isinstance(value, bool) and isinstance(value, int | float)
+    return isinstance(value, list) and all(_are_numbers(entry, levels - 1) for entry in value)
+
+
+def _limits(value: Any) -> dict[str, Any]:
+    """Return lower and upper from `limits`: per input a number for both sides, or [lower, upper]."""
+    if value is None:
+        return {}
+    if not isinstance(value, list) or not all(
+        _are_numbers(entry, 0) or (_are_numbers(entry, 1) and len(entry) == 2) for entry in value
+    ):
+        raise UserError(f"limits must be a number or [lower, upper] per input, found {shown(value)}")
+    pairs = [entry if isinstance(entry, list) else [-entry, entry] for entry in value]
+    return {"lower": [low for low, _ in pairs], "upper": [high for _, high in pairs]}
+
+
+def _equilibrium(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict) or not set(value) <= set(_EQUILIBRIUM):
+        raise UserError(f"equilibrium must be a table of states, inputs, outputs, found {shown(value)}")
+    return {_EQUILIBRIUM[name]: _check_numbers(f"equilibrium.{name}", entry, 1) for name, entry in value.items()}
+
+
+def _with_lqr(system: System, value: Any) -> System:
+    if not isinstance(value, dict) or set(value) != {"Q", "R"}:
+        raise UserError(f"lqr must be a table of Q and R, found {shown(value)}")
+    weights = {name: _check_numbers(f"lqr.{name}", W, 1 if _is_row(W) else 2) for name, W in value.items()}
+    return system.with_lqr(**{name: _matrix(f"lqr.{name}", W, flat=True) for name, W in weights.items()})
+
+
+_READERS: dict[str, Callable[[str, Any], Any]] = {
+    "name": _read_text,
+    **dict.fromkeys(("A", "B", "C", "K"), _read_rows),
+    **dict.fromkeys(_VECTORS, partial(_check_numbers, levels=1)),
+    **dict.fromkeys(_TEXTS, _read_texts),
+    **dict.fromkeys(("sample_time", "bandwidth"), _read_number),
+}
+"""How the entries of a file become fields of the same names."""
