@@ -106,6 +106,13 @@ regulator_status regulator_prepare(const regulator_params *p, regulator_prepared
 
 /* ---- The sample -------------------------------------------------------------------------------------------------- */
 
+static void copy(const double *values, int count, double *copied)
+{
+    for (int i = 0; i < count; i++) {
+        copied[i] = values[i];
+    }
+}
+
 static uint32_t bad_inputs(const regulator_params *p, const regulator_inputs *u)
 {
     uint32_t bad = 0;
@@ -156,9 +163,9 @@ static int kalman_step(const regulator_params *p, regulator_state *s, const doub
     if (!all_finite(corrected, all)) {
         return 0;
     }
-    memcpy(s->x, corrected, (size_t)n * sizeof *corrected);
-    memcpy(s->d, corrected + n, (size_t)m * sizeof *corrected);
-    memcpy(s->b, corrected + n + m, (size_t)outputs * sizeof *corrected);
+    copy(corrected, n, s->x);
+    copy(corrected + n, m, s->d);
+    copy(corrected + n + m, outputs, s->b);
     return 1;
 }
 
@@ -175,7 +182,7 @@ static int estimate(const regulator_params *p, regulator_state *s, const double 
     if (!all_finite(x, p->state_count)) {
         return 0;
     }
-    memcpy(s->x, x, (size_t)p->state_count * sizeof *x);
+    copy(x, p->state_count, s->x);
     return 1;
 }
 
@@ -225,7 +232,7 @@ static int integrate(const regulator_params *p, const regulator_prepared *q, reg
     if (!all_finite(v, m)) {
         return 0;
     }
-    memcpy(s->v, v, (size_t)m * sizeof *v);
+    copy(v, m, s->v);
     return 1;
 }
 

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from fmu_export.errors import UserError, shown
-from fmu_export.units import base_units
 from fmu_export.variables import Interface, Value, Variable
 
 from ..sampled_unit import FAULTS
@@ -184,7 +183,7 @@ class Shape:
 
     `set_points` and `biases` name outputs: those with a set-point, those whose bias the filter estimates. `estimated`: a
     Kalman filter estimates the state and disturbances of all inputs. Raises UserError for more quantities than the table
-    has, for a name that is no output's and for a unit that FMUs cannot have.
+    has and for a name that is no output's.
     """
 
     name: str
@@ -200,19 +199,10 @@ class Shape:
             found = getattr(self, kind)
             if not 1 <= len(found) <= most:
                 raise UserError(f"a controller FMU is for 1 to {most} {kind}, found {len(found)}")
-            for name, unit in found:
-                _check_unit(name, unit)
         for kind in ("set_points", "biases"):
             for name in getattr(self, kind):
                 if name not in dict(self.outputs):
                     raise UserError(f"{kind} must name outputs, found {shown(name)}")
-
-
-def _check_unit(name: str, unit: str) -> None:
-    try:
-        base_units(unit)
-    except ValueError as error:
-        raise UserError(f"the unit of {shown(name)}: {error}") from None
 
 
 def shown_interface(shape: Shape) -> Interface:
