@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 from .archive import write_zip
 from .errors import UserError
 from .ownership import SOFTWARE
-from .units import base_units
+from .units import base_unit
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -20,12 +20,12 @@ OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/
 def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iterable[tuple[str, str]]) -> Path:
     """Write the SSP `path` of the FMU files `components` by instance name and the `wires`; return `path`.
 
-    A wire is (output, input), each as `instance.variable`. All outputs become connectors, and those inputs that a wire
-    ends at; other inputs keep their start values. An annotation gives OMSimulator its master: fixed steps, as long as the
-    FMUs that cannot vary theirs want. The same files give the same bytes. Raises UserError for a wire from what is no output
-    or to what is no input.
+    A wire is (output, input), each as `instance.variable`; a variable's name may have dots, an instance's not. All outputs
+    become connectors, and those inputs that a wire ends at; other inputs keep their start values. An annotation gives
+    OMSimulator its master: fixed steps, as long as the FMUs that cannot vary theirs want. The same files give the same
+    bytes. Raises UserError for a wire from what is no output or to what is no input.
     """
-    ends = [(*a.split("."), *b.split(".")) for a, b in wires]
+    ends = [(*_parts(a), *_parts(b)) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
     ET.register_namespace("oms", OMS)
@@ -35,9 +35,14 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     files: dict[str, bytes] = {}
     units: set[str] = set()
     descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
+    causalities = {
+        (instance, v.get("name")): v.get("causality")
+        for instance, d in descriptions.items()
+        for v in d.iter("ScalarVariable")
+    }
     for a, x, b, y in ends:
         for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
-            if descriptions[owner].find(f"*/ScalarVariable[@name='{variable}'][@causality='{causality}']") is None:
+            if causalities.get((owner, variable)) != causality:
                 raise UserError(f"the wire {a}.{x} -> {b}.{y} needs the {causality} {owner}.{variable}")
     for instance, fmu in components.items():
         source = f"resources/{fmu.name}"
@@ -58,6 +63,11 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
     write_zip(path, files)
     return path
+
+
+def _parts(end: str) -> tuple[str, str]:
+    instance, _, variable = end.partition(".")
+    return instance, variable
 
 
 def _description(fmu: Path) -> ET.Element:
@@ -91,7 +101,10 @@ def _add_master(system: ET.Element, step: float) -> None:
 
 
 def _add_connectors(component: ET.Element, description: ET.Element, wired: set[str]) -> set[str]:
-    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
+    """Add the FMU's outputs and wired inputs as connectors; return the units that they use.
+
+    SSP wants every unit in base units: a connector of another unit has none.
+    """
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
@@ -103,14 +116,17 @@ def _add_connectors(component: ET.Element, description: ET.Element, wired: set[s
         kind_of_value = declared.tag.replace("Enumeration", "Integer")  # as FMI reads it; libcosim refuses the other
         own = ET.SubElement(connector, f"{{{SSC}}}{kind_of_value}")
         unit = declared.get("unit")
-        if declared.tag == "Real" and unit is not None:
+        if declared.tag == "Real" and unit is not None and base_unit(unit) is not None:
             own.set("unit", unit)
             units.add(unit)
     return units
 
 
 def _add_units(root: ET.Element, units: set[str]) -> None:
+    if not units:
+        return
     definitions = ET.SubElement(root, f"{{{SSD}}}Units")
     for name in sorted(units):
-        unit = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name)
-        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
+        unit, base = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name), base_unit(name)
+        assert base is not None  # as _add_connectors has seen
+        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", base.attributes)

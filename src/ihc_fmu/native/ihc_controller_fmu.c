@@ -6,6 +6,7 @@
 
 FMU_PRIVATE_BEGIN
 #include "ihc_controller.h"
+#include "sample_clock_fmu.h"
 FMU_PRIVATE_END
 
 #include "ihc_controller_table.h" /* generated: VARIABLES and what they count */
@@ -23,7 +24,7 @@ static int initialize(const void *parameters, const void *prepared, void *state,
 
 static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
 {
-    return (int)ihc_step(parameters, prepared, state, time, length, inputs);
+    return ihc_step(parameters, prepared, state, time, length, inputs);
 }
 
 static void get_outputs(const void *parameters, const void *prepared, const void *state, void *outputs)
@@ -39,30 +40,30 @@ static int state_is_valid(const void *state)
     return 1;
 }
 
-static void explain_fault(const ihc_state *s, const ihc_inputs *u, char *text, size_t size)
+static void explain_fault(const char *const *names, const ihc_state *s, const ihc_inputs *u, char *text, size_t size)
 {
-    const char *const names[] = {"theta", "delta", "theta_dot", "delta_dot"};
+    const char *const measured[] = {names[VR_theta], names[VR_delta], names[VR_theta_dot], names[VR_delta_dot]};
     const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot};
     char cause[256] = "the command is not finite";
     int length = 0;
     for (int i = 0; i < 4 && s->fault == IHC_FAULT_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
             const char *value = isnan(values[i]) ? "nan" : values[i] > 0.0 ? "inf" : "-inf"; /* on every platform */
-            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", names[i], value);
+            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", measured[i], value);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",
              s->fault == IHC_FAULT_INPUT ? "non_finite_input" : "non_finite_control", cause);
 }
 
-static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,
-                              char *text, size_t size)
+static fmu_severity explain(int status, const char *const *names, const void *parameters, const void *state,
+                            const void *inputs, double length, char *text, size_t size)
 {
     const ihc_params *p = parameters;
     const ihc_state *s = state;
     switch (status) {
     case IHC_NEW_FAULT:
-        explain_fault(s, inputs, text, size);
+        explain_fault(names, s, inputs, text, size);
         return FMU_WARNING;
     case IHC_SINGULAR_PHI:
         snprintf(text, size, "Phi must be regular, found a singular matrix");
@@ -89,28 +90,14 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
                  "sample_time = %g s",
                  p->kalman_sample_time, p->sample_time);
         break;
-    case IHC_INPUTS_HELD:
-        snprintf(text, size, "a communication step of %g s holds the inputs over several samples of sample_time = %g s",
-                 length, p->sample_time);
-        return FMU_WARNING;
-    case IHC_STEP_NOT_MULTIPLE:
-        snprintf(text, size,
-                 "sample_time must be a multiple of the communication step, or the step of it, found sample_time = %g s and "
-                 "a communication step of %g s",
-                 p->sample_time, length);
-        break;
-    case IHC_SAMPLE_MISSED:
-        snprintf(text, size, "sample %lld of sample_time = %g s was stepped over", (long long)s->next_sample, p->sample_time);
-        break;
     default:
-        snprintf(text, size, "a communication step must not exceed %d samples of sample_time = %g s, found %g s",
-                 (int)IHC_MAX_SAMPLES, p->sample_time, length);
+        return explain_clock(status, &s->clock, p->sample_time, length, text, size);
     }
     return FMU_REFUSED;
 }
 
 const fmu_unit fmu_the_unit = {
-    .model_identifier = MODEL_IDENTIFIER,
+    .name = UNIT_NAME,
     .variables = VARIABLES,
     .variable_count = VARIABLE_COUNT,
     .parameters_size = sizeof(ihc_params),
