@@ -90,17 +90,26 @@ static void take_over(const linear_params *p, linear_state *s, const double x[LI
     }
 }
 
-/* w of the inputs. */
-static linear_status acting(const linear_params *p, const linear_inputs *u, double w[LINEAR_INPUTS])
+/* w of one input, not flushed. */
+static double acting(const linear_params *p, const linear_inputs *u, int j)
+{
+    const double above = u->input[j] > p->lower[j] ? u->input[j] : p->lower[j];
+    const double limited = above < p->upper[j] ? above : p->upper[j];
+    return limited - p->input_equilibrium[j] + u->disturbance[j];
+}
+
+int linear_acts(const linear_params *p, const linear_inputs *u, int j)
+{
+    return isfinite(u->input[j]) && isfinite(u->disturbance[j]) && isfinite(acting(p, u, j));
+}
+
+static linear_status act(const linear_params *p, const linear_inputs *u, double w[LINEAR_INPUTS])
 {
     for (int j = 0; j < p->input_count; j++) {
-        const double above = u->input[j] > p->lower[j] ? u->input[j] : p->lower[j];
-        const double limited = above < p->upper[j] ? above : p->upper[j];
-        const double sum = limited - p->input_equilibrium[j] + u->disturbance[j];
-        if (!isfinite(u->input[j]) || !isfinite(u->disturbance[j]) || !isfinite(sum)) {
+        if (!linear_acts(p, u, j)) {
             return LINEAR_INPUT_NOT_FINITE;
         }
-        w[j] = flushed(sum);
+        w[j] = flushed(acting(p, u, j));
     }
     return LINEAR_OK;
 }
@@ -112,7 +121,7 @@ linear_status linear_step(const linear_params *p, linear_state *s, const linear_
     const linear_held *held = &s->held;
     linear_outputs y;
     double deviation[LINEAR_STATES], x[LINEAR_STATES], w[LINEAR_INPUTS];
-    if (acting(p, u, w) != LINEAR_OK) {
+    if (act(p, u, w) != LINEAR_OK) {
         return LINEAR_INPUT_NOT_FINITE;
     }
     if (step != s->held_step) {
@@ -147,7 +156,7 @@ void linear_get_outputs(const linear_params *p, const linear_state *s, linear_ou
 linear_status linear_hold(const linear_params *p, linear_state *s, const linear_inputs *u)
 {
     double w[LINEAR_INPUTS];
-    const linear_status status = acting(p, u, w);
+    const linear_status status = act(p, u, w);
     if (status == LINEAR_OK) {
         take_over(p, s, s->x, w);
     }

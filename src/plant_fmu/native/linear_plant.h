@@ -60,6 +60,9 @@ typedef struct {
     linear_held held;
 } linear_state;
 
+/* Whether an input and its disturbance are numbers that can act. */
+int linear_acts(const linear_params *p, const linear_inputs *u, int j);
+
 /* Set the initial state. */
 linear_status linear_initialize(const linear_params *p, linear_state *s);
 
