@@ -138,15 +138,19 @@ def _add_units(root: ET.Element, interface: Interface) -> None:
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(factor))
 
 
+def _type_name(variable: Variable, interface: Interface) -> str:
+    name = f"{variable.name}_type"
+    while name in interface.by_name:
+        name += "_"
+    return name
+
+
 def _add_types(root: ET.Element, interface: Interface) -> dict[str, str]:
     """Add the enumerations' types; return their names, which no variable has, by variable."""
     enumerations = [v for v in interface.variables if v.type == "Enumeration"]
     if not enumerations:
         return {}
-    types = {v.name: f"{v.name}_type" for v in enumerations}
-    for name in types:
-        while types[name] in interface.by_name:
-            types[name] += "_"
+    types = {v.name: _type_name(v, interface) for v in enumerations}
     definitions = ET.SubElement(root, "TypeDefinitions")
     for variable in enumerations:
         simple = ET.SubElement(definitions, "SimpleType", name=types[variable.name])

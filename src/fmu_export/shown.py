@@ -31,11 +31,15 @@ class Showing:
         slots: dict[str, str] = {}
         for variable in self.interface.variables:
             if variable.compiled in slots:
-                raise ValueError(f"{slots[variable.compiled]} and {variable.name} have the same slot {variable.compiled}")
+                raise ValueError(
+                    f"{slots[variable.compiled]} and {variable.name} have the same slot {variable.compiled}"
+                )
             slots[variable.compiled] = variable.name
             compiled = self.table.by_name.get(variable.compiled)
             if compiled is None:
-                raise ValueError(f"{self.table.name} has no variable {variable.compiled} for {variable.name} to stand for")
+                raise ValueError(
+                    f"{self.table.name} has no variable {variable.compiled} for {variable.name} to stand for"
+                )
             if _nature(variable) != _nature(compiled):
                 raise ValueError(
                     f"{variable.name} must have the type, causality, variability and limits of its slot "
