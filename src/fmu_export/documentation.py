@@ -51,7 +51,7 @@ def documentation(interface: Interface, start: Mapping[str, Value], notes: str) 
 
 def _table(variables: tuple[Variable, ...], start: Mapping[str, Value]) -> str:
     rows = "\n".join(
-        f"<tr><td><code>{v.name}</code></td><td>{escape(v.unit)}</td><td>{_start(v, start)}</td>"
+        f"<tr><td><code>{escape(v.name)}</code></td><td>{escape(v.unit)}</td><td>{_start(v, start)}</td>"
         f"<td>{v.variability if v.causality == 'parameter' else ''}</td><td>{escape(v.description)}</td></tr>"
         for v in variables
     )

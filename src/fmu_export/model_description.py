@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
@@ -27,8 +27,12 @@ class ModelExchange:
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What of an FMU depends on how it is made."""
+    """What of an FMU depends on how it is made.
 
+    `identifier` is the modelIdentifier: the name of its binary, a C identifier.
+    """
+
+    identifier: str
     needs_execution_tool: bool
     generation_tool: str
     version: str
@@ -36,10 +40,17 @@ class Capabilities:
     model_exchange: ModelExchange | None = None
 
 
-def model_description(interface: Interface, start: Mapping[str, Value], guid: str, capabilities: Capabilities) -> bytes:
+def model_description(
+    interface: Interface,
+    start: Mapping[str, Value],
+    guid: str,
+    capabilities: Capabilities,
+    references: Sequence[int] | None = None,
+) -> bytes:
     """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
 
-    `start` maps parameters and inputs to their start values.
+    `start` maps parameters and inputs to their start values. `references` are the value references of the variables; None:
+    their positions.
     """
     root = ET.Element(
         "fmiModelDescription",
@@ -56,7 +67,7 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
     )
     _add_kinds(root, interface, capabilities)
     _add_units(root, interface)
-    _add_types(root, interface)
+    types = _add_types(root, interface)
     _add_log_categories(root)
     ET.SubElement(
         root,
@@ -68,8 +79,8 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
     variables = ET.SubElement(root, "ModelVariables")
     exchange = capabilities.model_exchange
     index = {v.name: i for i, v in enumerate(interface.variables, start=1)}
-    for reference, variable in enumerate(interface.variables):
-        scalar = _add_variable(variables, variable, reference, start.get(variable.name))
+    for reference, variable in zip(references or range(len(index)), interface.variables, strict=True):
+        scalar = _add_variable(variables, variable, reference, start.get(variable.name), types)
         if exchange is not None and variable.name in exchange.derivatives:
             state = exchange.states[exchange.derivatives.index(variable.name)]
             scalar[0].set("derivative", str(index[state]))
@@ -81,7 +92,7 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
 def _add_kinds(root: ET.Element, interface: Interface, capabilities: Capabilities) -> None:
     """Add the elements ModelExchange, where the unit is for it, and CoSimulation."""
     common = {
-        "modelIdentifier": interface.name,
+        "modelIdentifier": capabilities.identifier,
         "needsExecutionTool": _boolean(capabilities.needs_execution_tool),
         "canBeInstantiatedOnlyOncePerProcess": "false",
         "canNotUseMemoryManagementFunctions": "true",
@@ -127,20 +138,26 @@ def _add_units(root: ET.Element, interface: Interface) -> None:
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(factor))
 
 
-def _type_name(variable: Variable) -> str:
-    return f"{variable.name}_type"
+def _type_name(variable: Variable, interface: Interface) -> str:
+    name = f"{variable.name}_type"
+    while name in interface.by_name:
+        name += "_"
+    return name
 
 
-def _add_types(root: ET.Element, interface: Interface) -> None:
+def _add_types(root: ET.Element, interface: Interface) -> dict[str, str]:
+    """Add the enumerations' types; return their names, which no variable has, by variable."""
     enumerations = [v for v in interface.variables if v.type == "Enumeration"]
     if not enumerations:
-        return
+        return {}
+    types = {v.name: _type_name(v, interface) for v in enumerations}
     definitions = ET.SubElement(root, "TypeDefinitions")
     for variable in enumerations:
-        simple = ET.SubElement(definitions, "SimpleType", name=_type_name(variable))
+        simple = ET.SubElement(definitions, "SimpleType", name=types[variable.name])
         enumeration = ET.SubElement(simple, "Enumeration")
         for value, item in enumerate(variable.items, start=1):
             ET.SubElement(enumeration, "Item", name=item, value=str(value))
+    return types
 
 
 def _add_log_categories(root: ET.Element) -> None:
@@ -153,7 +170,9 @@ def _add_log_categories(root: ET.Element) -> None:
         ET.SubElement(categories, "Category", name=name, description=description)
 
 
-def _add_variable(parent: ET.Element, variable: Variable, reference: int, start: Value | None) -> ET.Element:
+def _add_variable(
+    parent: ET.Element, variable: Variable, reference: int, start: Value | None, types: Mapping[str, str]
+) -> ET.Element:
     variability = variable.variability
     if variability == "continuous" and variable.type != "Real":
         variability = "discrete"
@@ -172,7 +191,7 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int, start:
         scalar.set("initial", "exact")
     kind = ET.SubElement(scalar, variable.type)
     if variable.type == "Enumeration":
-        kind.set("declaredType", _type_name(variable))
+        kind.set("declaredType", types[variable.name])
     if variable.type == "Real":
         kind.set("unit", variable.unit)
     for bound in ("min", "max"):

@@ -56,6 +56,7 @@ def export_python_fmu(
     files = _resources(slave, start)
     version = importlib.metadata.version("pythonfmu")
     capabilities = Capabilities(
+        identifier=interface.name,
         needs_execution_tool=True,
         generation_tool=f"qube-ihc {importlib.metadata.version('qube-ihc')} with PythonFMU {version}",
         version=importlib.metadata.version("qube-ihc"),

@@ -20,12 +20,12 @@ OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/
 def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iterable[tuple[str, str]]) -> Path:
     """Write the SSP `path` of the FMU files `components` by instance name and the `wires`; return `path`.
 
-    A wire is (output, input), each as `instance.variable`. All outputs become connectors, and those inputs that a wire
-    ends at; other inputs keep their start values. An annotation gives OMSimulator its master: fixed steps, as long as the
-    FMUs that cannot vary theirs want. The same files give the same bytes. Raises UserError for a wire from what is no output
-    or to what is no input.
+    A wire is (output, input), each as `instance.variable`; a variable's name may have dots, an instance's not. All outputs
+    become connectors, and those inputs that a wire ends at; other inputs keep their start values. An annotation gives
+    OMSimulator its master: fixed steps, as long as the FMUs that cannot vary theirs want. The same files give the same
+    bytes. Raises UserError for a wire from what is no output or to what is no input.
     """
-    ends = [(*a.split("."), *b.split(".")) for a, b in wires]
+    ends = [(*_parts(a), *_parts(b)) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
     ET.register_namespace("oms", OMS)
@@ -35,9 +35,14 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     files: dict[str, bytes] = {}
     units: set[str] = set()
     descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
+    causalities = {
+        (instance, v.get("name")): v.get("causality")
+        for instance, d in descriptions.items()
+        for v in d.iter("ScalarVariable")
+    }
     for a, x, b, y in ends:
         for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
-            if descriptions[owner].find(f"*/ScalarVariable[@name='{variable}'][@causality='{causality}']") is None:
+            if causalities.get((owner, variable)) != causality:
                 raise UserError(f"the wire {a}.{x} -> {b}.{y} needs the {causality} {owner}.{variable}")
     for instance, fmu in components.items():
         source = f"resources/{fmu.name}"
@@ -58,6 +63,11 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
     write_zip(path, files)
     return path
+
+
+def _parts(end: str) -> tuple[str, str]:
+    instance, _, variable = end.partition(".")
+    return instance, variable
 
 
 def _description(fmu: Path) -> ET.Element:

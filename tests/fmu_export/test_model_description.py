@@ -17,7 +17,7 @@ from fmu_export.units import DISPLAY, base_units
 from fmu_export.variables import Interface, Variable
 
 reproducible = settings(deadline=None, derandomize=True, database=None)
-CAPABILITIES = Capabilities(needs_execution_tool=True, generation_tool="a tool", version="1.2.3")
+CAPABILITIES = Capabilities("Everything", needs_execution_tool=True, generation_tool="a tool", version="1.2.3")
 
 
 def described(interface, start=None, **changes):

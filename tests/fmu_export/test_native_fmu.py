@@ -181,7 +181,9 @@ def test_changed_start_values_are_in_description_resources_sources_and_instance(
     }
     files = contents(path)
     values = unit.interface.start_values(changes)
-    assert files["resources/start_values.bin"] == start_value_file(unit.interface, guid(path), values)
+    assert files["resources/start_values.bin"] == start_value_file(
+        unit.interface, guid(path), values, {v.name: v.name for v in unit.interface.variables}
+    )
     assert f'"{guid(path)}"'.encode() in files["sources/start_values.c"]
     instance = host(Path(extract(str(path), str(tmp_path / "plant"))))
     assert instance.get(*numbers) == tuple(numbers.values())
