@@ -38,3 +38,19 @@ def base_units(unit: str) -> dict[str, int]:
             for base, power in _SYMBOLS[symbol].items():
                 total[base] += sign * power * int(exponent or 1)
     return {base: power for base, power in total.items() if power}
+
+
+def per_second(unit: str) -> str:
+    """Return the unit of a quantity's derivative with respect to time: m/s2 of m/s, rad/(m.s) of rad/m."""
+    match = re.fullmatch(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?", unit)
+    if match is None:
+        return f"({unit})/s"
+    factors = (match[2] or match[3] or "").split(".")
+    powers = {"s": "s2", **{f"s{i}": f"s{i + 1}" for i in range(2, 9)}}
+    seconds = next((i for i, factor in enumerate(factors) if factor in powers), None)
+    below = [factor for factor in factors if factor not in ("", "1")]
+    if seconds is None:
+        below.append("s")
+    else:
+        below = [powers[factor] if i == seconds else factor for i, factor in enumerate(factors)]
+    return f"{match[1]}/{below[0]}" if len(below) == 1 else f"{match[1]}/({'.'.join(below)})"

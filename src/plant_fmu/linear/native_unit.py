@@ -5,76 +5,51 @@ Standard library only: this module also runs while the package is being built.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from fmu_export.model_description import ModelExchange
 from fmu_export.native_unit import NativeUnit
 from fmu_export.variables import Value
 
-from .interface import INTERFACE, MOST_INPUTS, MOST_OUTPUTS, MOST_STATES, matrix, vector
+from .interface import INTERFACE, matrix, vector
 from .unit import LinearPlantUnit
 
-Pattern = list[list[bool]]
-"""Which entries of a matrix are not 0."""
-
-
-def _structure(n: int, m: int, p: int, A: Pattern, B: Pattern, C: Pattern) -> ModelExchange:
-    states, derivatives, outputs = vector("state", n), vector("derivative", n), vector("output", p)
-    inputs, disturbances = vector("input", m), vector("disturbance", m)
-    lower, upper = vector("lower", m), vector("upper", m)
-    of_state = {name: tuple(_where(row, states)) for name, row in zip(derivatives, A, strict=True)}
-    of_input = {
-        name: tuple(x for names in (inputs, disturbances) for x in _where(row, names))
-        for name, row in zip(derivatives, B, strict=True)
-    }
-    limits = {
-        name: tuple(x for names in (lower, upper) for x in _where(row, names))
-        for name, row in zip(derivatives, B, strict=True)
-    }
-    dependencies = {name: tuple(_where(row, states)) for name, row in zip(outputs, C, strict=True)}
-    dependencies |= {name: (name,) for name in states}
-    dependencies |= {name: (*of_input[name], *of_state[name]) for name in derivatives}
-    return ModelExchange(
-        tuple(states),
-        tuple(derivatives),
-        dependencies,
-        {name: (*of_input[name], *limits[name]) for name in derivatives},
-    )
-
-
-def _where(row: Iterable[bool], names: Iterable[str]) -> list[str]:
-    return [name for name, there in zip(names, row, strict=True) if there]
-
-
-def _full(rows: int, columns: int) -> Pattern:
-    return [[True] * columns for _ in range(rows)]
+FOLDER = Path(__file__).parents[1] / "native"
 
 
 def model_exchange(start: Mapping[str, Value]) -> ModelExchange:
     """Return the structure of an FMU with these start values, exact for its matrices."""
     n, m, p = (int(start[name]) for name in ("state_count", "input_count", "output_count"))
-    A, B, C = (
-        [[start[name] != 0.0 for name in row] for row in matrix(stem, rows, columns)]
-        for stem, rows, columns in (("A", n, n), ("B", n, m), ("C", p, n))
-    )
-    return _structure(n, m, p, A, B, C)
+    states, derivatives, outputs = vector("state", n), vector("derivative", n), vector("output", p)
+
+    def known(entries: list[str], stem: str) -> list[str]:
+        """Return STEM_j for each entry of a row that is not 0."""
+        return [name for entry, name in zip(entries, vector(stem, len(entries)), strict=True) if start[entry] != 0.0]
+
+    dependencies: dict[str, tuple[str, ...]] = {v.name: () for v in INTERFACE.calculated}
+    dependencies |= {name: (name,) for name in states}
+    dependencies |= {name: tuple(known(row, "state")) for name, row in zip(outputs, matrix("C", p, n), strict=True)}
+    initial: dict[str, tuple[str, ...]] = {}
+    for name, of_state, of_input in zip(derivatives, matrix("A", n, n), matrix("B", n, m), strict=True):
+        inputs = [*known(of_input, "input"), *known(of_input, "disturbance")]
+        dependencies[name] = (*inputs, *known(of_state, "state"))
+        initial[name] = (*inputs, *known(of_input, "lower"), *known(of_input, "upper"))
+    return ModelExchange(tuple(states), tuple(derivatives), dependencies, initial)
+
+
+def _largest() -> ModelExchange:
+    """Return the structure of a model of the largest size in which everything depends on everything."""
+    return model_exchange({v.name: v.max if v.type == "Integer" else 1.0 for v in INTERFACE.of("parameter")})  # type: ignore[misc]
 
 
 NATIVE = NativeUnit(
     interface=INTERFACE,
     twin=LinearPlantUnit,
-    folder=Path(__file__).parents[1] / "native",
+    folder=FOLDER,
     stem="linear_plant",
     prefix="linear",
-    parts=("linear_exponential",),
+    parts=(FOLDER / "linear_exponential.c", FOLDER / "linear_exponential.h"),
     model_exchange=model_exchange,
-    largest_model_exchange=_structure(
-        MOST_STATES,
-        MOST_INPUTS,
-        MOST_OUTPUTS,
-        _full(MOST_STATES, MOST_STATES),
-        _full(MOST_STATES, MOST_INPUTS),
-        _full(MOST_OUTPUTS, MOST_STATES),
-    ),
+    largest_model_exchange=_largest(),
 )

@@ -5,6 +5,10 @@
 #ifndef LINEAR_EXPONENTIAL_H
 #define LINEAR_EXPONENTIAL_H
 
+#include "fmu_names.h" /* several linear plants may be parts of one program */
+
+#define linear_hold_inputs FMU_NAMED(linear_hold_inputs)
+
 enum { LINEAR_STATES = 16, LINEAR_INPUTS = 8 }; /* the largest model */
 
 typedef struct {

@@ -10,6 +10,13 @@
 
 #include "linear_exponential.h"
 
+#define linear_acts FMU_NAMED(linear_acts)
+#define linear_initialize FMU_NAMED(linear_initialize)
+#define linear_step FMU_NAMED(linear_step)
+#define linear_get_outputs FMU_NAMED(linear_get_outputs)
+#define linear_hold FMU_NAMED(linear_hold)
+#define linear_tangent FMU_NAMED(linear_tangent)
+
 enum { LINEAR_OUTPUTS = 16 };
 
 typedef enum {
