@@ -51,9 +51,7 @@ def _outputs() -> list[Variable]:
 
 def _states() -> list[Variable]:
     return [
-        Variable(
-            f"state_{i}", "output", "true state", initial_dependencies=("state_count", f"initial_state_{i}")
-        )
+        Variable(f"state_{i}", "output", "true state", initial_dependencies=("state_count", f"initial_state_{i}"))
         for i in range(1, MOST_STATES + 1)
     ]
 

@@ -104,7 +104,15 @@ def test_name_that_the_fmu_gives_to_something_else_is_refused():
 
 @pytest.mark.parametrize(
     ("unit", "rate"),
-    [("1", "1/s"), ("m", "m/s"), ("m/s", "m/s2"), ("rad/s2", "rad/s3"), ("N.m", "N.m/s"), ("rad/m", "rad/(m.s)"), ("V/(m.s)", "V/(m.s2)")],
+    [
+        ("1", "1/s"),
+        ("m", "m/s"),
+        ("m/s", "m/s2"),
+        ("rad/s2", "rad/s3"),
+        ("N.m", "N.m/s"),
+        ("rad/m", "rad/(m.s)"),
+        ("V/(m.s)", "V/(m.s2)"),
+    ],
 )
 def test_unit_of_a_derivative_has_a_second_below(unit, rate):
     assert per_second(unit) == rate

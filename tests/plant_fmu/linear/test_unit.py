@@ -57,9 +57,7 @@ def test_random_plants_agree_with_scipy_on_the_same_inputs(seed):
         largest = np.maximum(largest, np.abs(x - system.x_eq))
         time += h
         assert (np.abs(states(plant) - x) <= 1e-8 * largest).all()
-        np.testing.assert_allclose(
-            derivatives(plant), rate(0.0, x), rtol=0.0, atol=1e-7 * np.abs(rate(0.0, x)).max()
-        )
+        np.testing.assert_allclose(derivatives(plant), rate(0.0, x), rtol=0.0, atol=1e-7 * np.abs(rate(0.0, x)).max())
 
 
 @pytest.mark.parametrize("seed", range(16))
@@ -67,7 +65,9 @@ def test_step_in_parts_ends_where_the_whole_step_ends(seed):
     system = random_system(seed)
     h = 3.0 / np.abs(np.linalg.eigvals(system.A)).max()
     held = inputs_of([0.7] * system.m, [0.1] * system.m)
-    start = {f"x{i + 1}_0": float(x + s) for i, (x, s) in enumerate(zip(system.x_eq, np.abs(system.B[:, 0]), strict=True))}
+    start = {
+        f"x{i + 1}_0": float(x + s) for i, (x, s) in enumerate(zip(system.x_eq, np.abs(system.B[:, 0]), strict=True))
+    }
     whole, parts = plant_of(system, **start), plant_of(system, **start)
     whole.step(0.0, h, held)
     for k in range(8):
@@ -88,7 +88,14 @@ def test_equilibrium_is_kept_exactly():
 
 
 def test_sensors_count_with_their_bias_before_and_the_states_stay_true():
-    plant = plant_of(CRANE, position_0=0.01234, angle_0=0.5, position_bias=-3e-4, position_resolution_offset=0.25, angle_sensor_bias=0.125)
+    plant = plant_of(
+        CRANE,
+        position_0=0.01234,
+        angle_0=0.5,
+        position_bias=-3e-4,
+        position_resolution_offset=0.25,
+        angle_sensor_bias=0.125,
+    )
     assert measured(plant) == (1e-3 * floor((0.01234 - 3e-4) / 1e-3 + 0.25), 0.625)
     assert states(plant) == (0.01234, 0.0, 0.5, 0.0)
     assert measured(plant_of(CRANE, position_0=0.0126))[0] == 1e-3 * 13  # 0.5: to the nearest
@@ -128,7 +135,9 @@ def test_plant_that_leaves_the_range_of_numbers_is_stopped_before():
     plant = plant_of(System(A=np.array([[100.0]]), B=np.array([[1.0]])), x1_0=1.0)
     plant.step(0.0, 7.0, inputs_of())
     before = plant.get_state()
-    with pytest.raises(ArithmeticError, match=r"the state left the range of numbers, x = \(1.01\d*e\+304\) before the step"):
+    with pytest.raises(
+        ArithmeticError, match=r"the state left the range of numbers, x = \(1.01\d*e\+304\) before the step"
+    ):
         plant.step(7.0, 1.0, inputs_of())
     assert plant.get_state() == before
     with pytest.raises(UserError, match="must be shorter"):
