@@ -16,6 +16,7 @@ _SYMBOLS: dict[str, dict[str, int]] = {
 
 _FACTOR = r"(?:[A-Za-z]+[2-9]?|1)"
 _PRODUCT = rf"{_FACTOR}(?:\.{_FACTOR})*"
+_UNIT = re.compile(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?")
 
 DISPLAY = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 / 3.141592653589793)}
 """Units for people: name and factor."""
@@ -27,7 +28,7 @@ def base_units(unit: str) -> dict[str, int]:
     A unit is factors joined by dots, each with an exponent behind it, over at most one denominator, which is one factor or
     several in parentheses. Raises ValueError for anything else.
     """
-    match = re.fullmatch(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?", unit)
+    match = _UNIT.fullmatch(unit)
     if match is None:
         raise ValueError(f"a unit must be in Modelica's notation, found {unit!r}")
     total: dict[str, int] = dict.fromkeys(("kg", "m", "s", "A", "rad"), 0)
@@ -41,16 +42,17 @@ def base_units(unit: str) -> dict[str, int]:
 
 
 def per_second(unit: str) -> str:
-    """Return the unit of a quantity's derivative with respect to time: m/s2 of m/s, rad/(m.s) of rad/m."""
-    match = re.fullmatch(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?", unit)
+    """Return the unit of a quantity's derivative with respect to time: m/s2 of m/s, rad/(m.s) of rad/m.
+
+    A unit in another notation is put in parentheses: (deg C)/s.
+    """
+    match = _UNIT.fullmatch(unit)
     if match is None:
         return f"({unit})/s"
-    factors = (match[2] or match[3] or "").split(".")
-    powers = {"s": "s2", **{f"s{i}": f"s{i + 1}" for i in range(2, 9)}}
-    seconds = next((i for i, factor in enumerate(factors) if factor in powers), None)
-    below = [factor for factor in factors if factor not in ("", "1")]
+    below = [factor for factor in (match[2] or match[3] or "").split(".") if factor not in ("", "1")]
+    seconds = next((i for i, factor in enumerate(below) if re.fullmatch("s[2-8]?", factor)), None)
     if seconds is None:
         below.append("s")
     else:
-        below = [powers[factor] if i == seconds else factor for i, factor in enumerate(factors)]
+        below[seconds] = f"s{int(below[seconds][1:] or 1) + 1}"
     return f"{match[1]}/{below[0]}" if len(below) == 1 else f"{match[1]}/({'.'.join(below)})"

@@ -33,11 +33,12 @@ def linear_plant_values(system: System) -> dict[str, Value]:
     """
     check_size(system)
     values: dict[str, Value] = {"state_count": system.n, "input_count": system.m, "output_count": system.p}
-    for stem, M in (("A", system.A), ("B", system.B), ("C", system.C)):
-        names = [name for row in matrix(stem, *np.shape(M)) for name in row]
-        values |= dict(zip(names, np.ravel(M).tolist(), strict=True))
+    for stem, M in (("A", system.A), ("B", system.B), ("C", np.asarray(system.C))):
+        names = [name for row in matrix(stem, *M.shape) for name in row]
+        values |= dict(zip(names, M.ravel().tolist(), strict=True))
     for stem, v in (("state", system.x_eq), ("input", system.u_eq), ("output", system.y_eq)):
-        values |= dict(zip(vector(f"{stem}_equilibrium", len(v)), v.tolist(), strict=True))  # type: ignore[arg-type, union-attr]
+        numbers = np.asarray(v).tolist()
+        values |= dict(zip(vector(f"{stem}_equilibrium", len(numbers)), numbers, strict=True))
     return values
 
 
@@ -94,7 +95,7 @@ def _shown(
 
 
 def _bounded(numbers: Array | None) -> list[float]:
-    return [min(UNLIMITED, max(-UNLIMITED, float(number))) for number in np.ravel(numbers)]  # type: ignore[arg-type]
+    return [min(UNLIMITED, max(-UNLIMITED, float(number))) for number in np.asarray(numbers)]
 
 
 def _unused(system: System) -> set[tuple[str, str]]:

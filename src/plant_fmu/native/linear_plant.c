@@ -36,7 +36,7 @@ static void outputs_at(const linear_params *p, const double x[LINEAR_STATES], co
                        linear_outputs *y)
 {
     static const linear_outputs zero;
-    double deviation[LINEAR_STATES];
+    double deviation[LINEAR_STATES] = {0.0};
     deviation_of(p, x, deviation);
     *y = zero;
     for (int i = 0; i < p->output_count; i++) {
@@ -120,7 +120,7 @@ linear_status linear_step(const linear_params *p, linear_state *s, const linear_
     linear_held other;
     const linear_held *held = &s->held;
     linear_outputs y;
-    double deviation[LINEAR_STATES], x[LINEAR_STATES], w[LINEAR_INPUTS];
+    double deviation[LINEAR_STATES] = {0.0}, x[LINEAR_STATES] = {0.0}, w[LINEAR_INPUTS] = {0.0};
     if (act(p, u, w) != LINEAR_OK) {
         return LINEAR_INPUT_NOT_FINITE;
     }
@@ -155,7 +155,7 @@ void linear_get_outputs(const linear_params *p, const linear_state *s, linear_ou
 
 linear_status linear_hold(const linear_params *p, linear_state *s, const linear_inputs *u)
 {
-    double w[LINEAR_INPUTS];
+    double w[LINEAR_INPUTS] = {0.0};
     const linear_status status = act(p, u, w);
     if (status == LINEAR_OK) {
         take_over(p, s, s->x, w);
@@ -167,7 +167,7 @@ void linear_tangent(const linear_params *p, const linear_inputs *u, const double
                     const linear_inputs *du, linear_outputs *dy)
 {
     static const linear_outputs zero;
-    double dw[LINEAR_INPUTS];
+    double dw[LINEAR_INPUTS] = {0.0};
     for (int j = 0; j < p->input_count; j++) {
         const int is_free = u->input[j] > p->lower[j] && u->input[j] < p->upper[j];
         dw[j] = (is_free ? du->input[j] : 0.0) + du->disturbance[j];

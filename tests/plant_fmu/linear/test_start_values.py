@@ -65,18 +65,18 @@ def test_all_numbers_of_a_system_are_in_the_values_of_its_table(seed):
     system = random_system(seed)
     shown = shown_interface(system)
     values = Showing(INTERFACE, shown).compiled_values(shown.start_values(), linear_plant_values(system))
-    for stem, M in (("A", system.A), ("B", system.B), ("C", system.C)):
-        found = [[values[f"{stem}_{i + 1}_{j + 1}"] for j in range(np.shape(M)[1])] for i in range(np.shape(M)[0])]
+    for stem, M in (("A", system.A), ("B", system.B), ("C", np.asarray(system.C))):
+        found = [[values[f"{stem}_{i + 1}_{j + 1}"] for j in range(M.shape[1])] for i in range(M.shape[0])]
         np.testing.assert_array_equal(found, M)
     rows = {
         "input_equilibrium": system.u_eq,
         "output_equilibrium": system.y_eq,
         "state_equilibrium": system.x_eq,
         "resolution": system.resolutions,
-        "upper": np.minimum(system.upper, UNLIMITED),  # type: ignore[call-overload]
+        "upper": np.minimum(np.asarray(system.upper), UNLIMITED),
     }
     for stem, v in rows.items():
-        np.testing.assert_array_equal([values[f"{stem}_{i + 1}"] for i in range(len(v))], v)
+        np.testing.assert_array_equal([values[f"{stem}_{i + 1}"] for i in range(len(np.asarray(v)))], v)
     assert [values[f"{what}_count"] for what in ("state", "input", "output")] == [system.n, system.m, system.p]
 
 

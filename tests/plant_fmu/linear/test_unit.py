@@ -42,19 +42,20 @@ def test_oscillator_swings_about_the_equilibrium_of_its_input():
 @pytest.mark.parametrize("seed", range(16))
 def test_random_plants_agree_with_scipy_on_the_same_inputs(seed):
     system, rng = random_system(seed), np.random.default_rng(100 + seed)
-    plant = plant_of(system, **{f"x{i + 1}_0": float(x) for i, x in enumerate(system.x_eq)})
+    plant = plant_of(system)
     scale = 1.0 / np.abs(np.linalg.eigvals(system.A)).max()
-    x, time = np.array(system.x_eq), 0.0
+    x_eq = np.array(system.x_eq)
+    x, time = x_eq, 0.0
     largest = np.zeros(system.n)
     for _ in range(20):
         h = scale * 10 ** rng.uniform(-2, 0.5)
         u, d = rng.uniform(-3, 3, size=system.m), rng.uniform(-0.1, 0.1, size=system.m)
-        w = np.clip(u, system.lower, system.upper) - system.u_eq + d
+        w = np.clip(u, np.asarray(system.lower), np.asarray(system.upper)) - np.asarray(system.u_eq) + d
         plant.step(time, h, inputs_of(u.tolist(), d.tolist()))
-        rate = lambda _, x, w=w: system.A @ (x - system.x_eq) + system.B @ w  # noqa: E731
-        size = np.abs(system.A @ (x - system.x_eq)) * h + np.abs(system.B @ w) * h + 1e-300
+        rate = lambda _, x, w=w: system.A @ (x - x_eq) + system.B @ w  # noqa: E731
+        size = np.abs(system.A @ (x - x_eq)) * h + np.abs(system.B @ w) * h + 1e-300
         x = solve_ivp(rate, (0.0, h), x, rtol=1e-11, atol=1e-12 * size, method="DOP853").y[:, -1]
-        largest = np.maximum(largest, np.abs(x - system.x_eq))
+        largest = np.maximum(largest, np.abs(x - x_eq))
         time += h
         assert (np.abs(states(plant) - x) <= 1e-8 * largest).all()
         np.testing.assert_allclose(derivatives(plant), rate(0.0, x), rtol=0.0, atol=1e-7 * np.abs(rate(0.0, x)).max())
@@ -65,14 +66,13 @@ def test_step_in_parts_ends_where_the_whole_step_ends(seed):
     system = random_system(seed)
     h = 3.0 / np.abs(np.linalg.eigvals(system.A)).max()
     held = inputs_of([0.7] * system.m, [0.1] * system.m)
-    start = {
-        f"x{i + 1}_0": float(x + s) for i, (x, s) in enumerate(zip(system.x_eq, np.abs(system.B[:, 0]), strict=True))
-    }
+    x_eq = np.array(system.x_eq)
+    start = {f"x{i + 1}_0": float(x) for i, x in enumerate(x_eq + np.abs(system.B[:, 0]))}
     whole, parts = plant_of(system, **start), plant_of(system, **start)
     whole.step(0.0, h, held)
     for k in range(8):
         parts.step(k * h / 8, h / 8, held)
-    size = np.maximum(np.abs(states(whole)), np.abs(np.array(states(whole)) - system.x_eq).max() * 1e-3)
+    size = np.maximum(np.abs(states(whole)), np.abs(np.array(states(whole)) - x_eq).max() * 1e-3)
     np.testing.assert_allclose(np.array(states(parts)) / size, np.array(states(whole)) / size, rtol=0.0, atol=1e-11)
 
 
