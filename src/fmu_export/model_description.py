@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from .units import DISPLAY, base_units
+from .units import DISPLAY, base_unit
 from .variables import Interface, Value, Variable
 
 
@@ -132,7 +132,9 @@ def _add_units(root: ET.Element, interface: Interface) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in sorted({v.unit for v in interface.variables if v.type == "Real"}):
         unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
+        base = base_unit(name)
+        if base is not None:
+            ET.SubElement(unit, "BaseUnit", base.attributes)
         if name in DISPLAY:
             display, factor = DISPLAY[name]
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(factor))

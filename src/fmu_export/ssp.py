@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 from .archive import write_zip
 from .errors import UserError
 from .ownership import SOFTWARE
-from .units import base_units
+from .units import base_unit
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
@@ -101,7 +101,10 @@ def _add_master(system: ET.Element, step: float) -> None:
 
 
 def _add_connectors(component: ET.Element, description: ET.Element, wired: set[str]) -> set[str]:
-    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
+    """Add the FMU's outputs and wired inputs as connectors; return the units that they use.
+
+    SSP wants every unit in base units: a connector of another unit has none.
+    """
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
@@ -113,14 +116,17 @@ def _add_connectors(component: ET.Element, description: ET.Element, wired: set[s
         kind_of_value = declared.tag.replace("Enumeration", "Integer")  # as FMI reads it; libcosim refuses the other
         own = ET.SubElement(connector, f"{{{SSC}}}{kind_of_value}")
         unit = declared.get("unit")
-        if declared.tag == "Real" and unit is not None:
+        if declared.tag == "Real" and unit is not None and base_unit(unit) is not None:
             own.set("unit", unit)
             units.add(unit)
     return units
 
 
 def _add_units(root: ET.Element, units: set[str]) -> None:
+    if not units:
+        return
     definitions = ET.SubElement(root, f"{{{SSD}}}Units")
     for name in sorted(units):
-        unit = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name)
-        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
+        unit, base = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name), base_unit(name)
+        assert base is not None  # as _add_connectors has seen
+        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", base.attributes)

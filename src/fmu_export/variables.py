@@ -19,7 +19,7 @@ Causality = Literal["parameter", "input", "output", "local"]
 Variability = Literal["fixed", "tunable", "discrete", "continuous"]
 
 LONGEST_NAME = 200
-"""Characters in the name of a variable, at most."""
+"""Characters in the name of a variable or of a unit, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +32,8 @@ class Variable:
     `fault_on_non_finite` marks an input whose NaN or infinity the unit itself turns into a fault; every other non-finite
     value is refused.
 
-    The name is any text on one line: FMI's flat names. `slot` is the name of the compiled variable that a shown one stands
+    The name is any text on one line: FMI's flat names. So is the unit, "1" for none, in Modelica's notation where the SI
+    has it (`units.py`). `slot` is the name of the compiled variable that a shown one stands
     for, where a unit's binary serves many interfaces; empty, it is the variable's own name.
     """
 
@@ -52,7 +53,8 @@ class Variable:
     slot: str = ""
 
     def __post_init__(self) -> None:
-        check_name(self.name)
+        check_name(self.name, "variable's name")
+        check_name(self.unit, "unit")
         if (self.start is None) != self.calculated:
             raise ValueError(f"variable {self.name}: parameters and inputs have a start value, all others have none")
         if (self.type == "Enumeration") != bool(self.items):
@@ -212,14 +214,12 @@ class Interface:
         return values
 
 
-def check_name(name: str) -> None:
-    """Raise UserError for what cannot be a variable's name: it must be printable, on one line and not too long."""
+def check_name(name: str, what: str) -> None:
+    """Raise UserError for what cannot name anything in an FMU: it must be printable, on one line and not too long."""
     if not 0 < len(name) <= LONGEST_NAME:
-        raise UserError(f"a variable's name must have 1 to {LONGEST_NAME} characters, found {len(name)}: {shown(name)}")
+        raise UserError(f"a {what} must have 1 to {LONGEST_NAME} characters, found {len(name)}: {shown(name)}")
     if not name.isprintable() or name != name.strip():
-        raise UserError(
-            f"a variable's name must be printable characters without a space at either end, found {shown(name)}"
-        )
+        raise UserError(f"a {what} must be printable characters without a space at either end, found {shown(name)}")
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
