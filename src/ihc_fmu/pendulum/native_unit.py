@@ -12,10 +12,14 @@ from fmu_export.native_unit import NativeUnit
 from .interface import INTERFACE
 from .unit import IhcControllerUnit
 
+CORE_HEADERS = ("homogeneous.h", "sample_clock.h", "sample_clock_fmu.h")
+"""What both controllers are built on."""
+
 NATIVE = NativeUnit(
     interface=INTERFACE,
     twin=IhcControllerUnit,
     folder=Path(__file__).parent.parent / "native",
     stem="ihc_controller",
     prefix="ihc",
+    common=CORE_HEADERS,
 )

@@ -15,8 +15,6 @@ from fmu_export.variables import Value
 from .interface import INTERFACE, matrix, vector
 from .unit import LinearPlantUnit
 
-FOLDER = Path(__file__).parents[1] / "native"
-
 
 def model_exchange(start: Mapping[str, Value]) -> ModelExchange:
     """Return the structure of an FMU with these start values, exact for its matrices."""
@@ -46,10 +44,10 @@ def _largest() -> ModelExchange:
 NATIVE = NativeUnit(
     interface=INTERFACE,
     twin=LinearPlantUnit,
-    folder=FOLDER,
+    folder=Path(__file__).parents[1] / "native",
     stem="linear_plant",
     prefix="linear",
-    parts=(FOLDER / "linear_exponential.c", FOLDER / "linear_exponential.h"),
+    common=("linear_exponential.c", "linear_exponential.h"),
     model_exchange=model_exchange,
     largest_model_exchange=_largest(),
 )
