@@ -33,7 +33,8 @@ class NativeUnit:
     share, as names in `folder` or as paths, those of its FMI part ending with `_fmu.h`. `prefix` begins the names of its
     structs. The fields of the structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array
     NAME, and so are NAME_1_1, NAME_1_2, ... by rows. `twin` is the same unit in Python, whose construction refuses start
-    values that contradict each other. `model_exchange` tells its structure for given start values, None for co-simulation only.
+    values that contradict each other. `model_exchange` tells its structure for given start values, None for co-simulation
+    only.
 
     An FMU shows all variables of `interface`, or some of them under other names (`Variable.slot`); `twin` and
     `model_exchange` always get the start values of all, and speak of them, by the names in `interface`.

@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fmu_export.native_unit import NativeUnit
+from rotary_pendulum.c_header import HEADER
 
 from .interface import INTERFACE
 from .unit import IhcControllerUnit
@@ -21,5 +22,5 @@ NATIVE = NativeUnit(
     folder=Path(__file__).parent.parent / "native",
     stem="ihc_controller",
     prefix="ihc",
-    common=CORE_HEADERS,
+    common=(*CORE_HEADERS, HEADER),
 )
