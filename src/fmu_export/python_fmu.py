@@ -22,7 +22,7 @@ from .guarded_slave import MANIFEST, GuardedSlave, code_digest
 from .model_description import Capabilities, model_description
 from .variables import Value
 
-SHARED = ("fmu_export", "pythonfmu")
+SHARED = ("fmu_export", "pythonfmu", "rotary_pendulum")
 """Packages that a unit's code may import besides its own."""
 
 SCRIPT = """import ctypes

@@ -6,6 +6,7 @@ Standard library only: this module also runs while the package is being built.
 from __future__ import annotations
 
 from fmu_export.native_unit import NativeUnit
+from rotary_pendulum.c_header import HEADER
 
 from ..native_core import FOLDER, HEADERS
 from .interface import INTERFACE
@@ -17,5 +18,5 @@ NATIVE = NativeUnit(
     folder=FOLDER,
     stem="ihc_controller",
     prefix="ihc",
-    common=HEADERS,
+    common=(*HEADERS, HEADER),
 )
