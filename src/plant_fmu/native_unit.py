@@ -12,8 +12,10 @@ from fmu_export.model_description import ModelExchange
 from fmu_export.native_unit import NativeUnit
 from fmu_export.variables import Value
 
-from .interface import INTERFACE, MOTOR_MODELS
-from .unit import QubePlant
+from .dynamics import FRICTION_SPEED
+from .integrator import LEAST
+from .interface import INTERFACE, MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
+from .unit import STEPS_PER_TIME_CONSTANT, QubePlant
 
 _VOLTAGES = ("voltage", "disturbance_voltage")
 
@@ -58,4 +60,11 @@ NATIVE = NativeUnit(
     prefix="qube",
     model_exchange=model_exchange,
     largest_model_exchange=_model_exchange(inductance=True),
+    constants={
+        "QUBE_MAX_DELAY": MAX_DELAY_STEPS,
+        "QUBE_MAX_SUBSTEPS": MAX_SUBSTEPS,
+        "QUBE_STEPS_PER_TIME_CONSTANT": STEPS_PER_TIME_CONSTANT,
+        "QUBE_FRICTION_SPEED": FRICTION_SPEED,
+        "QUBE_LEAST": LEAST,
+    },
 )

@@ -3,9 +3,6 @@
 #include <math.h>
 
 static const double PI = 3.14159265358979323846;
-static const double FRICTION_SPEED = 0.05; /* v_s: at this speed dry friction is half of T_r [rad/s] */
-static const double STEPS_PER_TIME_CONSTANT = 2.0;
-static const double LEAST = 0x1p-300; /* smaller states, voltages and torques count as 0: see integrator.LEAST */
 
 qube_coefficients qube_lump(const qube_params *p)
 {
@@ -31,7 +28,7 @@ static void accelerations(const qube_coefficients *c, double delta, double theta
                           double tau_p, double *theta_ddot, double *delta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
-    const double damping = c->D_r + c->T_r / (fabs(theta_dot) + FRICTION_SPEED);
+    const double damping = c->D_r + c->T_r / (fabs(theta_dot) + QUBE_FRICTION_SPEED);
     const double j_11 = c->J_11 + c->zeta_4 * s * s;
     const double j_12 = -c->varpi_2 * k;
     const double sk = c->zeta_4 * s * k;
@@ -45,7 +42,7 @@ static void accelerations(const qube_coefficients *c, double delta, double theta
 void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
               double pendulum_torque, double dx[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
     const double tau = inductance ? c->k_m * x[4] : c->k_m * (voltage - c->k_e * x[2]) / c->R_m;
     dx[0] = x[2];
     dx[1] = x[3];
@@ -58,7 +55,7 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
                         double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
                         double dvoltage, double dtorque, double out[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
     const double s = sin(x[1]), k = cos(x[1]), ds = k * dx[1], dk = -s * dx[1];
     const double v = x[2], w = x[3], dv = dx[2], dw = dx[3];
     const double j_11 = c->J_11 + c->zeta_4 * s * s, dj_11 = 2.0 * c->zeta_4 * s * ds;
@@ -69,7 +66,7 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
     const double r_1 = j_11 * rate[2] + j_12 * rate[3];
     const double r_2 = pendulum_torque + sk * v * v - c->D_p * w + c->gravity * s;
     const double dtau = inductance ? c->k_m * dx[4] : c->k_m * (dvoltage - c->k_e * dv) / c->R_m;
-    const double slow = fabs(v) + FRICTION_SPEED, slope = c->D_r + c->T_r * FRICTION_SPEED / (slow * slow);
+    const double slow = fabs(v) + QUBE_FRICTION_SPEED, slope = c->D_r + c->T_r * QUBE_FRICTION_SPEED / (slow * slow);
     const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + slope) * dv
         - c->varpi_2 * (ds * w * w + 2.0 * s * w * dw);
     const double dr_2 = dtorque + dsk * v * v + 2.0 * sk * v * dv - c->D_p * dw + c->gravity * ds;
@@ -183,7 +180,7 @@ static double clamp(double value, double limit)
 
 static double flushed(double value)
 {
-    return fabs(value) > 0.0 && fabs(value) < LEAST ? 0.0 : value;
+    return fabs(value) > 0.0 && fabs(value) < QUBE_LEAST ? 0.0 : value;
 }
 
 /* One classical Runge-Kutta step of length h. */
@@ -224,8 +221,8 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
     if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
         return QUBE_INPUT_NOT_FINITE;
     }
-    if (p->motor_model == QUBE_MOTOR_INDUCTANCE) {
-        longest = fmin(longest, p->L_m / p->R_m / STEPS_PER_TIME_CONSTANT);
+    if (p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE) {
+        longest = fmin(longest, p->L_m / p->R_m / (double)QUBE_STEPS_PER_TIME_CONSTANT);
     }
     const double count = substeps(step, longest);
     if (count > (double)QUBE_MAX_SUBSTEPS) {
@@ -281,7 +278,7 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
     y->delta_dot = s->x[3];
     y->theta_encoder = s->delay_line[s->oldest][0];
     y->delta_encoder = s->delay_line[s->oldest][1];
-    y->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
+    y->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
     y->motor_torque = c.k_m * y->current;
     y->energy = qube_energy(&c, y->delta, y->theta_dot, y->delta_dot);
     y->theta_ddot = rate[2];
@@ -291,7 +288,7 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
 
 int qube_state_count(const qube_params *p)
 {
-    return p->motor_model == QUBE_MOTOR_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
+    return p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
 }
 
 qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
@@ -324,7 +321,7 @@ void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *
     dy->delta_dot = dx[3];
     dy->theta_encoder = seen * dx[0];
     dy->delta_encoder = seen * dx[1];
-    dy->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
+    dy->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
     dy->motor_torque = c.k_m * dy->current;
     dy->energy = (c.zeta_4 * sine * cosine * v * v + c.varpi_2 * sine * v * w - c.gravity * sine) * dx[1]
         + ((c.J_11 + c.zeta_4 * sine * sine) * v - c.varpi_2 * cosine * w) * dx[2]
