@@ -30,10 +30,11 @@ _ROLES = {"parameter": "params", "input": "inputs", "output": "outputs", "local"
 class NativeUnit:
     """A unit written in C.
 
-    `folder` holds `<stem>.h`, `<stem>.c` and `<stem>_fmu.c`; `prefix` begins the names of its structs. The fields of the
-    structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array NAME, and so are NAME_1_1,
-    NAME_1_2, ... by rows. `twin` is the same unit in Python, whose construction refuses start values that contradict each
-    other. `model_exchange` tells its structure for given start values, None for co-simulation only.
+    `folder` holds `<stem>.h`, `<stem>.c`, `<stem>_fmu.c` and the headers `common` that the unit shares with others, those of
+    its FMI part ending with `_fmu.h`; `prefix` begins the names of its structs. The fields of the structs are named as the
+    variables; consecutive variables NAME_1, NAME_2, ... are an array NAME, and so are NAME_1_1, NAME_1_2, ... by rows.
+    `twin` is the same unit in Python, whose construction refuses start values that contradict each other. `model_exchange`
+    tells its structure for given start values, None for co-simulation only.
 
     An FMU shows all variables of `interface`, or some of them under other names (`Variable.slot`); `twin` and
     `model_exchange` always get the start values of all, and speak of them, by the names in `interface`.
@@ -49,6 +50,7 @@ class NativeUnit:
     prefix: str
     model_exchange: Callable[[Mapping[str, Value]], ModelExchange] | None = None
     largest_model_exchange: ModelExchange | None = None
+    common: tuple[str, ...] = ()
     constants: Mapping[str, int | float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -63,17 +65,21 @@ class NativeUnit:
 
     @property
     def core(self) -> dict[str, bytes]:
-        """What of the unit knows nothing of FMI, by file name."""
+        """The unit's files by name that know nothing of FMI."""
         name = f"{self.stem}_constants.h"
-        own = {f"{self.stem}{end}": (self.folder / f"{self.stem}{end}").read_bytes() for end in (".c", ".h")}
+        own = {file.name: file.read_bytes() for file in self._paths if not _is_of_fmi(file)}
         return own | {name: self.generated[name].encode()}
+
+    @property
+    def _paths(self) -> list[Path]:
+        names = (f"{self.stem}.c", f"{self.stem}_fmu.c", f"{self.stem}.h", *self.common)
+        return [self.folder / name for name in names]
 
     @property
     def sources(self) -> dict[str, Path]:
         """Hand-written source files by name, the adapter's included, headers too."""
-        own = [self.folder / f"{self.stem}{end}" for end in (".c", "_fmu.c", ".h")]
         shared = [ADAPTER / name for name in (*ADAPTER_SOURCES, "fmu_instance.h", "fmu_names.h", "fmu_unit.h")]
-        return {file.name: file for file in (*own, *shared)}
+        return {file.name: file for file in (*self._paths, *shared)}
 
     @property
     def generated(self) -> dict[str, str]:
@@ -87,6 +93,10 @@ class NativeUnit:
             f"{self.stem}_table.h": variable_table(self),
             "fmu_model.h": model_header(identifier),
         }
+
+
+def _is_of_fmi(file: Path) -> bool:
+    return file.stem.endswith("_fmu")
 
 
 def unit_files(unit: NativeUnit) -> dict[str, bytes]:

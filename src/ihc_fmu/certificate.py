@@ -11,7 +11,7 @@ from scipy.linalg import eigh, solve_triangular
 from fmu_export.errors import UserError
 
 from .companion import chain_form, generator
-from .homogeneity import homogeneous_norm, norm_polynomial, to_chain
+from .homogeneity import chain, homogeneous_norm, norm_polynomial, to_blocks
 
 if TYPE_CHECKING:
     from .design import Design
@@ -148,8 +148,9 @@ def largest_matched_disturbance(design: Design) -> float:
 
 def norm_of(design: Design, x: Array) -> float:
     """Return ||x||_d for the design's P and dilation."""
-    Pz = to_chain(design.Phi.tolist(), design.P.tolist())
-    return homogeneous_norm(norm_polynomial(Pz, (design.Phi @ np.asarray(x, float)).tolist(), design.mu), design.mu)
+    Pz = to_blocks(design.Phi.tolist(), design.P.tolist())
+    z = (design.Phi @ np.asarray(x, float)).tolist()
+    return homogeneous_norm(norm_polynomial(Pz, z, chain(design.n), design.mu), design.mu)
 
 
 def settling_time_bound(design: Design, x0: Array) -> float:

@@ -9,8 +9,8 @@ import pytest
 
 from ihc_fmu.companion import weights
 from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN, Options, inverse_design
-from ihc_fmu.homogeneity import homogeneous_norm, norm_polynomial, to_chain
-from ihc_fmu.laws import implicit_homogeneous
+from ihc_fmu.homogeneity import chain, homogeneous_norm, norm_polynomial
+from ihc_fmu.laws import chain_design, implicit_homogeneous
 from ihc_fmu.pendulum import interface
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.pendulum.unit import IhcControllerUnit
@@ -31,7 +31,8 @@ class IdealLoop:
 
     def __init__(self, design, a_min=0.0):
         self.design, self.a_min = design, a_min
-        self.Pz = to_chain(design.Phi.tolist(), design.P.tolist())
+        d = design
+        self.law = chain_design(d.Phi.tolist(), d.row.tolist(), d.k_lin.tolist(), d.P.tolist(), d.mu)
 
     def on_the_sphere(self, rng):
         """Return a random x with x' P x = 1."""
@@ -44,14 +45,13 @@ class IdealLoop:
         return np.linalg.solve(d.Phi, r ** weights(d.n, d.mu) * (d.Phi @ x))
 
     def norm(self, x, guess=1.0):
-        return homogeneous_norm(
-            norm_polynomial(self.Pz, (self.design.Phi @ x).tolist(), self.design.mu), self.design.mu, guess
-        )
+        d = self.design
+        return homogeneous_norm(norm_polynomial(self.law.Pz, (d.Phi @ x).tolist(), chain(d.n), d.mu), d.mu, guess)
 
     def velocity(self, x, r, disturbance=0.0):
         """Return x' for the norm r in the law."""
         d, r = self.design, max(self.a_min, r)
-        return d.A @ x + d.b * (implicit_homogeneous(d.k_lin, d.row, d.kz, d.mu, r, x, d.Phi @ x) + disturbance)
+        return d.A @ x + d.b * (implicit_homogeneous(self.law, r, x, d.Phi @ x)[0] + disturbance)
 
     def rate(self, x, r, disturbance=0.0):
         """Return d||x||_d/dt at x with ||x||_d = r, by a central difference along the motion."""

@@ -42,9 +42,9 @@ def test_matrices_and_gains_arrive_entry_by_entry(design, start_values, controll
     for name, expected in (("k_lin", design.k_lin), ("row", design.row)):
         assert [start_values[n] for n in vector(name)] == expected.tolist()
     unit = controller()
-    np.testing.assert_allclose(unit.kz, design.kz, rtol=1e-10)
-    np.testing.assert_allclose(design.Phi.T @ unit.row_z, design.row, atol=1e-12)
-    np.testing.assert_allclose(design.Phi.T @ np.array(unit.Pz) @ design.Phi, design.P, rtol=1e-9)
+    np.testing.assert_allclose(unit.design.Kz[0], design.kz, rtol=1e-10)
+    np.testing.assert_allclose(design.Phi.T @ unit.design.K_0z[0], -design.row, atol=1e-12)
+    np.testing.assert_allclose(design.Phi.T @ np.array(unit.design.Pz) @ design.Phi, design.P, rtol=1e-9)
     assert unit.mu == 1.0
 
 

@@ -10,7 +10,8 @@ import pytest
 
 from ihc_fmu import homogeneity, laws
 from ihc_fmu.pendulum.interface import INTERFACE
-from ihc_fmu.pendulum.supervisor import Fault, Mode
+from ihc_fmu.pendulum.supervisor import Mode
+from ihc_fmu.sampled_unit import Fault
 from ihc_fmu.sliding_mode import fitted_smc
 
 OUTPUTS = [v.name for v in INTERFACE.of("output")]
@@ -59,25 +60,27 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
     """Each law with its norm solver and discretization, against the library functions at one sample."""
     x: Any = np.array([0.1, delta, -0.3, 0.5])
     z = design.Phi @ x
-    c = homogeneity.norm_polynomial(homogeneity.to_chain(design.Phi.tolist(), design.P.tolist()), z.tolist(), 1.0)
+    law = laws.chain_design(
+        design.Phi.tolist(), design.row.tolist(), design.k_lin.tolist(), design.P.tolist(), design.mu
+    )
+    c = homogeneity.norm_polynomial(law.Pz, z.tolist(), law.exponents, 1.0)
     exact = min(2.0, max(0.1, homogeneity.homogeneous_norm(c, 1.0)))
     _, estimate = homogeneity.bisection_update(c, 1.0, (0.1, 2.0), 0.1, 2.0, 3)
     assert 0.1 < exact < 2.0
     assert abs(estimate / exact - 1) > 1e-3
     smc: Any = fitted_smc(design.A, design.b)
-    row_z: Any = np.linalg.solve(design.Phi.T, design.row)
     cases = [
         ({"law": "LC"}, design.k_lin @ x, 1.0),
         ({"law": "SMC"}, laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x), 1.0),
-        ({}, laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, estimate, x, z), estimate),
+        ({}, laws.implicit_homogeneous(law, estimate, x, z)[0], estimate),
         (
             {"norm_solver": "exact"},
-            laws.implicit_homogeneous(design.k_lin, design.row, design.kz, 1.0, exact, x, z),
+            laws.implicit_homogeneous(law, exact, x, z)[0],
             exact,
         ),
         (
             {"norm_solver": "exact", "discretization": "semi_implicit"},
-            laws.implicit_homogeneous_semi(design.kz, row_z, 1.0, exact, 1e-3, z),
+            laws.implicit_homogeneous_semi(law, exact, 1e-3, z)[0],
             exact,
         ),
     ]
@@ -381,8 +384,9 @@ def test_norm_at_capture_is_that_of_the_state_in_the_law(controller, closed_loop
     k = np.flatnonzero(run["mode"] == Mode.STABILIZING)[0]
     delta = math.remainder(run["delta_encoder"][k], math.tau)
     x: Any = [run["theta_encoder"][k], delta, run["theta_dot_estimate"][k], run["delta_dot_estimate"][k]]
-    Pz = homogeneity.to_chain(design.Phi.tolist(), design.P.tolist())
-    expected = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, (design.Phi @ x).tolist(), 1.0), 1.0)
+    Pz = homogeneity.to_blocks(design.Phi.tolist(), design.P.tolist())
+    c = homogeneity.norm_polynomial(Pz, (design.Phi @ x).tolist(), homogeneity.chain(4), 1.0)
+    expected = homogeneity.homogeneous_norm(c, 1.0)
     assert run["homogeneous_norm_used"][k] == pytest.approx(expected, rel=1e-9)
 
 
