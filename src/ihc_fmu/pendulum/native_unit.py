@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from fmu_export.native_unit import NativeUnit
 
-from ..native_core import FOLDER, HEADERS
-from .interface import INTERFACE
+from ..native_core import CONSTANTS, FOLDER, HEADERS
+from .interface import INTERFACE, ORDER
 from .unit import IhcControllerUnit
 
 NATIVE = NativeUnit(
@@ -18,4 +18,5 @@ NATIVE = NativeUnit(
     stem="ihc_controller",
     prefix="ihc",
     common=HEADERS,
+    constants={**CONSTANTS, "IHC_ORDER": ORDER},
 )
