@@ -148,7 +148,9 @@ def _unpack(path: Path) -> tuple[str, ModelDescription]:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     escapes = "%" in Path(folder).as_uri().replace("%20", "")
-    if description.coSimulation is not None and description.coSimulation.needsExecutionTool and escapes:  # PythonFMU's wrapper cannot read them
+    if (
+        description.coSimulation is not None and description.coSimulation.needsExecutionTool and escapes
+    ):  # PythonFMU's wrapper cannot read them
         raise UserError(f"the temporary folder (TMPDIR) must be named in plain letters for Python FMUs, found {folder}")
     return folder, description
 

@@ -31,7 +31,7 @@ from ihc_fmu.system import Quantity, System
 
 from .derivatives import EvaluationError, Jacobian, finite, jacobian, least_steps, solve
 from .errors import UserError
-from .fmu import FmuError, Instance, Value, as_value, describe_any
+from .fmu import FmuError, Instance, Value, describe_any
 from .model_exchange import ModelInstance
 
 Array = np.ndarray
@@ -86,17 +86,24 @@ class LinearModel:
         """Return the model as a System without a gain; raise UserError where an output depends on an input directly."""
         for i, j in np.argwhere(self.D != 0.0):
             raise UserError(
-                f"the output {self.outputs[i].name} depends on {self.inputs[j].name} directly (D = {self.D[i, j]:.4g}), which "
-                "a controller's model cannot have: leave it out"
+                f"the output {self.outputs[i].name} depends on {self.inputs[j].name} directly (D = {self.D[i, j]:.4g}), "
+                "which a controller's model cannot have: leave it out"
             )
-        measured: dict[str, Any] = {}
-        if self.outputs != self.states:
-            measured = {"C": self.C, "outputs": self.outputs}
+        measures_state = self.outputs == self.states
         return System(
-            **{"name": name or self.name, "A": self.A, "B": self.B, "states": self.states, "inputs": self.inputs},
-            **measured,
-            **{"lower": self.lower, "upper": self.upper, "sample_time": sample_time},
-            **{"x_eq": self.x_eq, "u_eq": self.u_eq, "y_eq": self.y_eq},
+            name=name or self.name,
+            A=self.A,
+            B=self.B,
+            C=None if measures_state else self.C,
+            states=self.states,
+            inputs=self.inputs,
+            outputs=() if measures_state else self.outputs,
+            lower=self.lower,
+            upper=self.upper,
+            sample_time=sample_time,
+            x_eq=self.x_eq,
+            u_eq=self.u_eq,
+            y_eq=self.y_eq,
         )
 
 
@@ -119,8 +126,8 @@ def linear_model(
     begin at their start values and move, other inputs stay at theirs unless named in `free`. `start`: start values of the
     FMU. `step`: communication step [s] for co-simulation, none: the FMU's own, or 1 ms.
 
-    Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle, and
-    for an FMU that does not say enough; FmuError where it fails at its start values.
+    Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle,
+    and for an FMU that does not say enough; FmuError where it fails at its start values.
     """
     plant = _open(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     with closing(plant):
@@ -173,13 +180,14 @@ class _Plant(ABC):
     def close(self) -> None:
         """Free what the FMU holds."""
 
-    def model(self, z: Array, matrices: tuple[Array, ...], y: Array, **about: Any) -> LinearModel:
-        """Return the model with names, units and limits; outputs that are states have exactly their rows of C."""
+    def model(self, z: Array, matrices: tuple[Array, ...], y: Array, notes: list[str], **about: Any) -> LinearModel:
+        """Return the model with names, units and limits; outputs that are states have exactly their rows and values."""
         A, B, C, D = matrices
         names = self.names[: self.n]
         for i, output in enumerate(self.outputs):
             if output.name in names:
-                C[i], D[i] = np.eye(self.n)[names.index(output.name)], 0.0
+                j = names.index(output.name)
+                C[i], D[i], y[i] = np.eye(self.n)[j], 0.0, z[j]
         return LinearModel(
             name=_identifier(self.path.stem),
             **{"A": A, "B": B, "C": C, "D": D, "x_eq": z[: self.n], "u_eq": z[self.n :], "y_eq": y},
@@ -187,6 +195,7 @@ class _Plant(ABC):
             inputs=_quantities(self.inputs),
             outputs=_quantities(self.outputs),
             residual=self.rates(z),
+            notes=(*notes, *_blind(self.outputs, C)),
             lower=np.array([_bound(v, "min", -math.inf) for v in self.inputs]),
             upper=np.array([_bound(v, "max", math.inf) for v in self.inputs]),
             **about,
@@ -196,7 +205,9 @@ class _Plant(ABC):
 class _ModelExchangePlant(_Plant):
     """x' and y by the FMU itself."""
 
-    def __init__(self, path: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], kept: tuple[str, ...], start: Any):
+    def __init__(
+        self, path: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], kept: tuple[str, ...], start: Any
+    ):
         self._instance = ModelInstance("plant", path)
         start = self._instance.checked_start(start)
         states = self._instance.continuous_states()
@@ -204,7 +215,9 @@ class _ModelExchangePlant(_Plant):
             raise UserError(f"{path} has no continuous states")
         self.kept = [_index(name, [v.name for v in states], "state") for name in kept] or list(range(len(states)))
         names = _Names(
-            tuple(states), _inputs(self._instance, inputs), _outputs(self._instance, outputs, [states[i] for i in self.kept])
+            tuple(states),
+            _inputs(self._instance, inputs),
+            _outputs(self._instance, outputs, [states[i] for i in self.kept]),
         )
         super().__init__(path, names, start)
         self._open = False
@@ -244,7 +257,7 @@ class _ModelExchangePlant(_Plant):
         A, B = J[: self.n, : self.n], J[: self.n, self.n :]
         y = self._values(z)[self.n :]
         C, D = J[self.n :, : self.n], J[self.n :, self.n :]
-        whole = self.model(z, (A, B, C, D), y, error=worst, method=f"model exchange, {method}", notes=tuple(notes))
+        whole = self.model(z, (A, B, C, D), y, notes, error=worst, method=f"model exchange, {method}")
         return _reduced(whole, self.kept)
 
     def close(self) -> None:
@@ -328,12 +341,14 @@ class _CoSimulationPlant(_Plant):
         A, B, error = self._logarithm(J, z, time)
         worst = float(error.max(initial=0.0))
         if worst > NOTABLE_ERROR:
-            notes.append(f"after {time:g} s and {2 * time:g} s A differs by {worst:.1g}: is there a fast state besides these?")
+            notes.append(
+                f"after {time:g} s and {2 * time:g} s A differs by {worst:.1g}: is there a fast state besides these?"
+            )
         worst = max(worst, self._step_error(z, count, np.hstack((A, B)), notes))
         C, D = self._output_matrices(J, z, notes)
         y = self._ends(z, count, self.step)[self.n : self.n + len(self.outputs)]
         how = f"co-simulation, {count} and {2 * count} steps of {self.step:g} s"
-        return self.model(z, (A, B, C, D), y, error=worst, method=how, notes=tuple(notes))
+        return self.model(z, (A, B, C, D), y, notes, error=worst, method=how)
 
     def close(self) -> None:
         self._instance.close()
@@ -348,8 +363,8 @@ class _CoSimulationPlant(_Plant):
         worst = float(_relative(np.abs(finer - AB), AB, self.sizes(z)).max(initial=0.0))
         if worst > NOTABLE_ERROR:
             notes.append(
-                f"the FMU integrates with the communication step: with half of {self.step:g} s A and B change by {worst:.1g}; "
-                "the model is that of this --step"
+                f"the FMU integrates with the communication step: with half of {self.step:g} s A and B change by "
+                f"{worst:.1g}; the model is that of this --step"
             )
         return worst
 
@@ -405,11 +420,11 @@ class _CoSimulationPlant(_Plant):
         sizes = self.sizes(z)
         error = _relative(np.abs(both[0] - both[1]), both[0], sizes)
         if error.max(initial=0.0) > LARGEST_ERROR:
-            i, j = np.unravel_index(int(np.argmax(error)), error.shape)
+            i, j = _place(error)
             raise UserError(
                 f"the states {', '.join(self.names[:n])} do not describe {self.path}: from steps to "
-                f"{time:g} s the derivative of {self.names[i]}' by {self.names[j]} is {both[0][i, j]:.4g}, to {2 * time:g} s "
-                f"{both[1][i, j]:.4g}; name the missing state with --state, or take a shorter --step"
+                f"{time:g} s the derivative of {self.names[i]}' by {self.names[j]} is {both[0][i, j]:.4g}, to "
+                f"{2 * time:g} s {both[1][i, j]:.4g}; name the missing state with --state, or take a shorter --step"
             )
         AB = _without_noise(both[0], both[1], sizes)
         return AB[:, :n], AB[:, n:], error
@@ -433,8 +448,8 @@ class _CoSimulationPlant(_Plant):
         i = int(np.argmax(np.abs(np.diag(off))))
         if abs(off[i, i]) > 0.5:
             raise UserError(
-                f"the parameter {self._parameters[i]} must set {self.names[i]} at the start, in the same unit: a change of 1 "
-                f"of it changes {self.names[i]} by {at_start[i, i]:.4g}"
+                f"the parameter {self._parameters[i]} must set {self.names[i]} at the start, in the same unit: a change of "
+                f"1 of it changes {self.names[i]} by {at_start[i, i]:.4g}"
             )
 
     def _output_matrices(self, J: Array, z: Array, notes: list[str]) -> tuple[Array, Array]:
@@ -448,7 +463,9 @@ class _CoSimulationPlant(_Plant):
         error = _relative(np.abs(found[0] - found[1]), found[0], sizes)
         if error.max(initial=0.0) > LARGEST_ERROR:
             i = int(np.argmax(error.max(axis=1)))
-            raise UserError(f"the output {self.outputs[i].name} is no function of the states {', '.join(self.names[:n])}")
+            raise UserError(
+                f"the output {self.outputs[i].name} is no function of the states {', '.join(self.names[:n])}"
+            )
         first = J[2 * (n + p) :]
         late = _relative(np.abs(first - found[0]), found[0], sizes).max(axis=1, initial=0.0)
         for i in np.flatnonzero((late > 1e-4) & first.any(axis=1)):
@@ -460,7 +477,12 @@ class _CoSimulationPlant(_Plant):
 
 
 def _open(
-    path: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], states: tuple[str, ...], start: Any, step: float | None
+    path: Path,
+    inputs: tuple[str, ...],
+    outputs: tuple[str, ...],
+    states: tuple[str, ...],
+    start: Any,
+    step: float | None,
 ) -> _Plant:
     """Return the plant, for model exchange where the FMU is and no state names its parameter."""
     _, description = describe_any(path)
@@ -526,8 +548,8 @@ def _no_equilibrium(plant: _Plant, z: Array, J: Array, fixed: Mapping[int, float
     hint = f"; {plant.names[j]} is what would have to change" if np.abs(missing[j]) > NEAR else ""
     unit = _unit(plant.states[worst])
     return (
-        f"there is no equilibrium near {', '.join((*given, *stays)) or 'the start values'}: at best {plant.names[worst]}' is "
-        f"{rates[worst]:.4g}{'' if unit == '1' else f' {unit}'}/s{hint}; free an input (--free) or hold other values (--at)"
+        f"there is no equilibrium near {', '.join((*given, *stays)) or 'the start values'}: at best {plant.names[worst]}' "
+        f"is {rates[worst]:.4g}{'' if unit == '1' else f' {unit}'}/s{hint}; free an input (--free) or hold other values (--at)"
     )
 
 
@@ -539,11 +561,25 @@ def _rows(J: Array, sizes: Array) -> Array:
     return (np.abs(J) * sizes).max(axis=1, keepdims=True, initial=0.0)
 
 
+def _place(M: Array) -> tuple[int, int]:
+    """Return row and column of the largest entry."""
+    i, j = divmod(int(np.argmax(M)), M.shape[1])
+    return i, j
+
+
 def _relative(error: Array, J: Array, sizes: Array) -> Array:
     """Return errors relative to the largest entry of their row; 0 in rows of zeros whose error is rounding."""
     rows = _rows(J, sizes)
     scaled = error * sizes
     return np.divide(scaled, rows, out=np.where(scaled > 1e-9, np.inf, 0.0), where=rows > 0.0)
+
+
+def _blind(outputs: Sequence[ScalarVariable], C: Array) -> list[str]:
+    return [
+        f"the output {v.name} does not change with the states there, and measures nothing"
+        for v, row in zip(outputs, C, strict=True)
+        if not row.any()
+    ]
 
 
 def _without_noise(M: Array, again: Array, sizes: Array) -> Array:
@@ -556,14 +592,14 @@ def _check_smooth(found: Jacobian, sizes: Array, rows: Sequence[str], columns: S
     """Raise UserError that names the entry whose derivative does not settle or differs from side to side."""
     error = _relative(found.error, found.J, sizes)
     if error.max(initial=0.0) > LARGEST_ERROR:
-        i, j = np.unravel_index(int(np.argmax(error)), error.shape)
+        i, j = _place(error)
         raise UserError(
-            f"{rows[i]} has no derivative by {columns[j]} that differences agree on: it is not smooth there (counted or noisy "
-            "sensor, dry friction, switch); turn that off with --set, or leave it out"
+            f"{rows[i]} has no derivative by {columns[j]} that differences agree on: it is not smooth there (counted or "
+            "noisy sensor, dry friction, switch); turn that off with --set, or leave it out"
         )
     kink = _relative(found.kink, found.J, sizes)
     if kink.max(initial=0.0) > LARGEST_ERROR:
-        i, j = np.unravel_index(int(np.argmax(kink)), kink.shape)
+        i, j = _place(kink)
         raise UserError(
             f"{rows[i]} has different derivatives by {columns[j]} to both sides: a limit or dry friction is at work there; "
             "turn that off with --set, or choose another equilibrium"
@@ -575,7 +611,7 @@ def _check_contradiction(J: Array, found: Jacobian, sizes: Array, rows: Sequence
     sure = np.isfinite(found.error) & (_relative(found.error, found.J, sizes) < NOTABLE_ERROR)
     wrong = np.where(sure, _relative(np.abs(J - found.J), found.J, sizes), 0.0)
     if wrong.max(initial=0.0) > LARGEST_ERROR:
-        i, j = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+        i, j = _place(wrong)
         raise UserError(
             f"the FMU contradicts itself: its directional derivative of {rows[i]} by {columns[j]} is {J[i, j]:.6g}, "
             f"differences give {found.J[i, j]:.6g}"

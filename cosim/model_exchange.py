@@ -44,7 +44,9 @@ class ModelInstance(Instance):
         for unknown in self.description.derivatives:
             state = None if unknown.variable is None else unknown.variable.derivative
             if state is None or state.type != "Real":
-                raise UserError(f"{self.path} is not a valid FMU: its ModelStructure has a derivative of no real variable")
+                raise UserError(
+                    f"{self.path} is not a valid FMU: its ModelStructure has a derivative of no real variable"
+                )
             states.append(state)
         return states
 
@@ -83,9 +85,7 @@ class ModelInstance(Instance):
     def reals(self, variables: Sequence[ScalarVariable]) -> Array:
         """Return the values of real variables."""
         found: list[float] = []
-        self._call(
-            "getReal", lambda: found.extend(self._fmu.getReal([v.valueReference for v in variables]))
-        )
+        self._call("getReal", lambda: found.extend(self._fmu.getReal([v.valueReference for v in variables])))
         return np.array(found)
 
     def directional(self, unknowns: Sequence[int], knowns: Sequence[int]) -> Array:
