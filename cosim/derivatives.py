@@ -10,8 +10,8 @@ import numpy as np
 Array = np.ndarray
 Function = Callable[[Array], Array]
 
-FIRST = 1e-2
-"""The first step, relative to the size of the variable."""
+FIRST = 0.009731
+"""The first step, relative to the size of the variable; no round number, as the steps of counting sensors are."""
 SHRINK = 4.0
 LEVELS = 9
 """Steps are FIRST size / SHRINK^k, k < LEVELS: down to 1.5e-7 of the size."""
@@ -64,8 +64,12 @@ class _Column:
         self.change = change
 
     def settled(self, noise: Array) -> bool:
-        """Whether smaller steps promise nothing."""
-        return len(self.row) > 2 and bool((self.error <= ENOUGH * np.abs(self.best) + noise).all())
+        """Whether smaller steps promise nothing: the errors are small, and the last steps say the same."""
+        if len(self.row) < 3:
+            return False
+        size = np.abs(self.best)
+        same = np.abs(self.row[1] - self.best) <= 1e-4 * size + noise
+        return bool((same & (self.error <= ENOUGH * size + noise)).all())
 
     def kink(self) -> Array:
         """Return by how much one-sided slopes differ where that does not shrink with the step, else 0."""

@@ -46,12 +46,14 @@ NEAR = 1e-4
 """A typed state that is so near to an equilibrium, relative to its size, is taken for it."""
 REST = 1e-9
 """Largest derivative at an equilibrium, relative to what a change of one size of any variable does to it."""
+ROUNDING = 1e-11
+"""Numbers at an equilibrium that are so small, relative to their size, are 0."""
 ANGLE = 0.2
 """How far the steps in co-simulation go: T times the norm of A."""
 MOST_STEPS = 50
 NOISE = 1e-8
 """Entries of a matrix found by steps that are so small, relative to the largest of their row, are 0."""
-DIGITS = 9
+DIGITS = 10
 """Decimal digits, from the largest entry of its row on, that a matrix found by steps has."""
 START = "_0"
 """The parameter that sets the output S at the start is S_0 where nothing else is said."""
@@ -133,8 +135,13 @@ def linear_model(
     """
     plant = _open(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     with closing(plant):
-        z, notes = _equilibrium(plant, dict(at or {}), tuple(free))
-        return plant.linear(z, notes)
+        z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))
+        try:
+            z, notes = _equilibrium(plant, z, chosen, fixed)
+            return plant.linear(z, notes)
+        except EvaluationError as error:
+            where = ", ".join(f"{name} = {value:g}" for name, value in zip(plant.names, z, strict=True))
+            raise UserError(f"{path} cannot be evaluated near {where}: {error}") from None
 
 
 # What an FMU says, by its kind
@@ -423,10 +430,11 @@ class _CoSimulationPlant(_Plant):
         error = _relative(np.abs(both[0] - both[1]), both[0], sizes)
         if error.max(initial=0.0) > LARGEST_ERROR:
             i, j = _place(error)
+            entry = f"the derivative of {self.names[i]}' by {self.names[j]}"
             raise UserError(
-                f"the states {', '.join(self.names[:n])} do not describe {self.path}: from steps to "
-                f"{time:g} s the derivative of {self.names[i]}' by {self.names[j]} is {both[0][i, j]:.4g}, to "
-                f"{2 * time:g} s {both[1][i, j]:.4g}; name the missing state with --state, or take a shorter --step"
+                f"the states {', '.join(self.names[:n])} do not describe {self.path}: {entry} is {both[0][i, j]:.4g} from "
+                f"steps to {time:g} s and {both[1][i, j]:.4g} from steps to {2 * time:g} s; a state is missing (--state), "
+                "the --step is too long, or dry friction is at work"
             )
         AB = _without_noise(both[0], both[1], sizes)
         return AB[:, :n], AB[:, n:], error
@@ -499,8 +507,8 @@ def _open(
 # The equilibrium
 
 
-def _equilibrium(plant: _Plant, at: dict[str, float], free: tuple[str, ...]) -> tuple[Array, list[str]]:
-    """Return z of the equilibrium and what is to be said of it; raises UserError where there is none."""
+def _beginning(plant: _Plant, at: dict[str, float], free: tuple[str, ...]) -> tuple[Array, list[int], dict[int, float]]:
+    """Return z that the search begins at, the indices of what it may change, and the values of what stays."""
     z = plant.begin()
     fixed = {_index(name, plant.names, "state or input"): value for name, value in at.items()}
     for name in free:
@@ -508,19 +516,27 @@ def _equilibrium(plant: _Plant, at: dict[str, float], free: tuple[str, ...]) -> 
             raise UserError(f"{name} cannot be free and stay at {at[name]:g}")
     for j, value in fixed.items():
         z[j] = _finite_number(plant.names[j], value)
-    chosen = {*range(plant.n), *(_index(name, plant.names, "state or input") for name in free)} - fixed.keys()
-    try:
-        found = solve(plant.rates, plant.rates_jacobian, z, sorted(chosen), plant.sizes(z))
-        J = plant.rates_jacobian(found)
-        if _at_rest(plant, found, J):
-            return found, []
-        near = solve(plant.rates, plant.rates_jacobian, z, range(plant.n), plant.sizes(z))
-        if _at_rest(plant, near, plant.rates_jacobian(near)) and (np.abs(near - z) <= NEAR * plant.sizes(z)).all():
-            return near, _moved(plant, z, near, fixed)
-    except EvaluationError as error:
-        where = ", ".join(f"{name} = {value:g}" for name, value in zip(plant.names, z, strict=True))
-        raise UserError(f"{plant.path} cannot be evaluated near {where}: {error}") from None
-    raise UserError(_no_equilibrium(plant, found, J, fixed))
+    moved = {*range(plant.n), *(plant.names.index(name) for name in free)} - fixed.keys()
+    return z, sorted(moved), fixed
+
+
+def _equilibrium(plant: _Plant, z: Array, chosen: Sequence[int], fixed: Mapping[int, float]) -> tuple[Array, list[str]]:
+    """Return z of the equilibrium and what is to be said of it; raises UserError where there is none."""
+    found = _searched(plant, z, chosen)
+    J = plant.rates_jacobian(found)
+    if _at_rest(plant, found, J):
+        return found, []
+    near = _searched(plant, z, range(plant.n))
+    if _at_rest(plant, near, plant.rates_jacobian(near)) and (np.abs(near - z) <= NEAR * plant.sizes(z)).all():
+        return near, _moved(plant, z, near, fixed)
+    raise UserError(_no_equilibrium(plant, z if fixed else found, J, fixed))
+
+
+def _searched(plant: _Plant, z: Array, chosen: Sequence[int]) -> Array:
+    """Return what the search ends at, with zeros for numbers that are zero but for rounding."""
+    found = solve(plant.rates, plant.rates_jacobian, z, chosen, plant.sizes(z))
+    rounded = np.where(np.abs(found) <= ROUNDING * plant.sizes(z), 0.0, found)
+    return rounded if _at_rest(plant, rounded, plant.rates_jacobian(rounded)) else found
 
 
 def _at_rest(plant: _Plant, z: Array, J: Array) -> bool:
@@ -550,7 +566,7 @@ def _no_equilibrium(plant: _Plant, z: Array, J: Array, fixed: Mapping[int, float
     hint = f"; {plant.names[j]} is what would have to change" if np.abs(missing[j]) > NEAR else ""
     unit = _unit(plant.states[worst])
     return (
-        f"there is no equilibrium near {', '.join((*given, *stays)) or 'the start values'}: at best {plant.names[worst]}' "
+        f"there is no equilibrium near {', '.join((*given, *stays)) or 'the start values'}: {plant.names[worst]}' "
         f"is {rates[worst]:.4g}{'' if unit == '1' else f' {unit}'}/s{hint}; free an input (--free), or hold other values "
         "(--at)"
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import fmpy
 import numpy as np
 import pytest
@@ -16,14 +18,18 @@ from .conftest import EXAMPLES
 g, t = sp.symbols("gravity t")
 
 
-def energies(name):
+def energies(name) -> Any:
     """Return coordinates, their rates, kinetic and potential energy, friction's powers by rate, forces by coordinate."""
-    return {"crane": _crane, "arm": _arm, "double_pendulum": _double_pendulum, "rotorcraft": _rotorcraft, "servo": _servo}[
-        name
-    ]()
+    return {
+        "crane": _crane,
+        "arm": _arm,
+        "double_pendulum": _double_pendulum,
+        "rotorcraft": _rotorcraft,
+        "servo": _servo,
+    }[name]()
 
 
-def _coordinates(*names):
+def _coordinates(*names) -> Any:
     q = sp.Matrix([sp.Function(name)(t) for name in names])
     return q, q.diff(t)
 
@@ -87,7 +93,7 @@ def _servo():
     return q, v, T, potential, [-bL * v[0], kM * (V - kM * v[1]) / R - bM * v[1]], [V]
 
 
-def equations(name, plant):
+def equations(name, plant) -> Any:
     """Return x, u and x' of Lagrange's equations with the plant's numbers, in symbols."""
     q, v, T, V, forces, u = energies(name)
     lagrangian = T - V
@@ -122,7 +128,8 @@ def test_energy_is_conserved_without_friction_and_inputs(name, plant_of):
         setattr(plant, friction, 0.0)
     if name == "servo":
         plant.motor_constant = 0.0
-    energy = sp.lambdify((equations(name, plant)[0],), equations(name, plant)[3])
+    symbols, _, _, total = equations(name, plant)
+    energy = sp.lambdify((symbols,), total)
     x = np.linspace(0.3, 1.0, len(plant.states)).tolist()
     first, drift = energy(x), []
     for _ in range(1000):
@@ -133,7 +140,7 @@ def test_energy_is_conserved_without_friction_and_inputs(name, plant_of):
 
 
 def test_the_fmu_linearizes_to_the_jacobian_of_the_equations(name, plant_of, fmu_of):
-    system = System.load(EXAMPLES / name / f"{name}.toml")
+    system: Any = System.load(EXAMPLES / name / f"{name}.toml")
     plant = plant_of(name)
     x, u, rates, _ = equations(name, plant)
     at = dict(zip((*x, *u), (*system.x_eq, *system.u_eq), strict=True))
@@ -160,7 +167,8 @@ TILTED = {
 
 
 def test_the_linear_controller_of_the_system_file_brings_the_plant_to_rest_within_its_limits(name, plant_of):
-    system, plant = System.load(EXAMPLES / name / f"{name}.toml"), plant_of(name)
+    system: Any = System.load(EXAMPLES / name / f"{name}.toml")
+    plant = plant_of(name)
     x = system.x_eq + TILTED[name]
     for _ in range(8000):
         u = np.clip(system.u_eq + system.K @ (x - system.x_eq), system.lower, system.upper)
