@@ -53,8 +53,8 @@ ANGLE = 0.2
 MOST_STEPS = 50
 NOISE = 1e-8
 """Entries of a matrix found by steps that are so small, relative to the largest of their row, are 0."""
-DIGITS = 10
-"""Decimal digits, from the largest entry of its row on, that a matrix found by steps has."""
+DIGITS = 9
+"""Digits that entries of a matrix found by steps have."""
 START = "_0"
 """The parameter that sets the output S at the start is S_0 where nothing else is said."""
 
@@ -353,7 +353,7 @@ class _CoSimulationPlant(_Plant):
             notes.append(
                 f"after {time:g} s and {2 * time:g} s A differs by {worst:.1g}: is there a fast state besides these?"
             )
-        worst = max(worst, self._step_error(z, count, np.hstack((A, B)), notes), 0.5 * 10.0**-DIGITS)
+        worst = max(worst, self._step_error(z, count, np.hstack((A, B)), notes), 0.5 * 10.0 ** (1 - DIGITS))
         C, D = self._output_matrices(J, z, notes)
         y = self._ends(z, count, self.step)[self.n : self.n + len(self.outputs)]
         how = f"co-simulation, {count} and {2 * count} steps of {self.step:g} s"
@@ -602,13 +602,10 @@ def _blind(outputs: Sequence[ScalarVariable], C: Array) -> list[str]:
 
 
 def _without_noise(M: Array, again: Array, sizes: Array) -> Array:
-    """Return M in the digits that count: zeros below what two ways to it differ by in its row, all rounded to DIGITS."""
-    rows = _rows(M, sizes)
-    least = np.maximum((np.abs(M - again) * sizes).max(axis=1, keepdims=True, initial=0.0), NOISE * rows)
+    """Return M with zeros below what two ways to it differ by in its row, and DIGITS digits in the others."""
+    least = np.maximum((np.abs(M - again) * sizes).max(axis=1, keepdims=True, initial=0.0), NOISE * _rows(M, sizes))
     kept = np.where(np.abs(M) * sizes <= least, 0.0, M)
-    unit = np.where(rows > 0.0, rows, 1.0) / sizes
-    decimals = np.clip(DIGITS - np.floor(np.log10(unit)), -300, 300).astype(int)
-    return np.vectorize(lambda value, places: round(float(value), int(places)), otypes=[float])(kept, decimals)
+    return np.vectorize(lambda value: float(f"{value:.{DIGITS}g}"), otypes=[float])(kept)
 
 
 def _check_smooth(found: Jacobian, sizes: Array, rows: Sequence[str], columns: Sequence[str]) -> None:

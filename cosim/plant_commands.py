@@ -26,6 +26,7 @@ NamesOption = list[str] | None
 def register(app: typer.Typer) -> None:
     """Add the commands to the command line."""
     app.command()(linearize)
+    app.command()(new)
 
 
 def linearize(
@@ -145,3 +146,24 @@ def _print(model: LinearModel) -> None:
 
 def _pole(p: complex) -> str:
     return f"{p.real:.4g}" if abs(p.imag) < 1e-9 * max(1.0, abs(p)) else f"{p.real:.4g}{p.imag:+.4g}i"
+
+
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the plant: letters, digits, underscores.", show_default=False)],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder to write to; none: one of the plant's name.")
+    ] = None,
+) -> None:
+    """Begin with a plant of your own: write a plant in Python, its system file and a scenario, which run as they are."""
+    from .new import class_name
+    from .new import new as write_new
+
+    for path in write_new(name, Path(name) if output is None else output):
+        console.print(f"wrote {escaped(path)}")
+    commands = (
+        f"pythonfmu build -f {name}.py -d {name}.fmu",
+        f"qube-ihc linearize {name}.fmu --input torque",
+    )
+    console.print(f"in that folder, after every change of the class {class_name(name)}:")
+    for command in commands:
+        console.print(f"    {escaped(command)}", highlight=False)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import zipfile
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -262,7 +263,7 @@ def test_a_plant_that_fails_beside_the_equilibrium_is_approached_and_one_that_al
 
 def test_names_that_are_not_there_are_refused_with_those_that_are(plant):
     fmu = plant("Names", RK4.format(acceleration="self.u - x"), outputs=("x", "v", "y"))
-    for arguments, words in (
+    cases: Any = (
         ({"inputs": ["w"]}, "the FMU has no real input 'w'"),
         ({"outputs": ["yy"]}, "no real output 'yy'.*did you mean"),
         ({"states": ["x=x0"]}, "no real parameter 'x0'.*x_0"),
@@ -274,7 +275,8 @@ def test_names_that_are_not_there_are_refused_with_those_that_are(plant):
         ({"free": ["w"]}, "no state or input 'w'"),
         ({"start": {"mass": 1.0}}, "no variable named 'mass'"),
         ({"step": 0.0}, "communication step must be positive"),
-    ):
+    )
+    for arguments, words in cases:
         with pytest.raises(UserError, match=words) as caught:
             linear_model(fmu, **arguments)
         assert "\n" not in str(caught.value)
@@ -469,7 +471,7 @@ def test_the_command_writes_a_system_file_and_leaves_its_upper_part(fmus, tmp_pa
     assert ended(*arguments, cwd=tmp_path).returncode == 0
     assert path.read_text() == before
     assert ended(*arguments, "--set", "m_p=0.03", cwd=tmp_path).returncode == 0
-    system = System.load(path)
+    system: Any = System.load(path)
     assert (system.name, system.upper.tolist()) == ("qube", [10.0])
     assert own in path.read_text()
     assert abs(system.A[3, 1] - A[3, 1]) > 1.0

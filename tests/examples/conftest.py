@@ -6,6 +6,7 @@ import importlib.util
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -30,7 +31,7 @@ def plant_of():
     """Make the plant of an example, as a Python object with parameters changed."""
 
     def make(name, **parameters):
-        spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / name / f"{name}.py")
+        spec: Any = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / name / f"{name}.py")
         module = importlib.util.module_from_spec(spec)
         sys.path.insert(0, str(EXAMPLES))
         try:
@@ -52,9 +53,9 @@ def fmu_of(tmp_path_factory):
     folder = tmp_path_factory.mktemp("examples")
 
     def build(name):
-        path = folder / f"{CLASSES[name]}.fmu"
+        path = folder / f"{name}.fmu"
         if not path.exists():
-            options = ["--handle-state", "--serialize-state", "-f", f"{name}/{name}.py", "-d", str(folder)]
+            options = ["--handle-state", "--serialize-state", "-f", f"{name}/{name}.py", "-d", str(path)]
             command = [sys.executable, "-m", "pythonfmu", "build", *options, "rk4_plant.py"]
             subprocess.run(command, cwd=EXAMPLES, check=True, capture_output=True, timeout=60)
         return path
