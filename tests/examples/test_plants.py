@@ -10,7 +10,9 @@ import pytest
 import sympy as sp
 from fmpy.validation import validate_fmu
 
+from cosim.fmu import start_values_of
 from cosim.linearize import linear_model
+from cosim.scenario import load_scenario
 from ihc_fmu.system import System
 
 from .conftest import EXAMPLES
@@ -195,3 +197,12 @@ def test_the_fmu_is_valid_has_units_and_steps_as_the_class_does(name, plant_of, 
         assert [row[state] for state in plant.states] == pytest.approx(x, abs=1e-13)
         for _ in range(10):
             x = plant._stepped(x, held, 1e-3)
+
+
+def test_the_scenario_is_of_this_plant_and_begins_beside_the_equilibrium(name, fmu_of):
+    scenario, _ = load_scenario(str(EXAMPLES / name / f"{name}_run.toml"))
+    assert (scenario.plant.fmu, scenario.controller.fmu) == (f"{name}.fmu", f"{name}_controller.fmu")
+    system: Any = System.load(EXAMPLES / name / f"{name}.toml")
+    initial = {f"{q.name}_0" for q in system.states}
+    assert scenario.plant.start.keys() <= initial <= start_values_of(fmu_of(name)).keys()
+    assert scenario.run.step == system.sample_time
