@@ -125,23 +125,36 @@ def linear_model(
     """Return the linear model of the FMU `path` from `inputs` to `outputs` about an equilibrium.
 
     `inputs`: none: its only real input. `outputs`: none: its states. `states`: for model exchange those to keep, none: all;
-    for co-simulation "OUTPUT=PARAMETER" or "OUTPUT", whose parameter is OUTPUT_0, none: all real outputs that have such a
-    parameter. `at`: states and inputs that stay at a value [their unit] in the search for the equilibrium; other states
-    begin at their start values and move, other inputs stay at theirs unless named in `free`. `start`: start values of the
-    FMU. `step`: communication step [s] for co-simulation, none: the FMU's own, or 1 ms.
+    for co-simulation "OUTPUT=PARAMETER", or "OUTPUT", whose parameter is OUTPUT_0, or itself where its start value can be
+    set (initial = "exact"), none: all real outputs of which that is so. `at`: states and inputs that stay at a value [their
+    unit] in the search for the equilibrium; other states begin at their start values and move, other inputs stay at theirs
+    unless named in `free`. `start`: start values of the FMU. `step`: communication step [s] for co-simulation, none: the
+    FMU's own, or 1 ms.
 
     Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle,
     and for an FMU that does not say enough; FmuError where it fails at its start values.
     """
     plant = _open(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
-    with closing(plant):
+    with closing(plant), np.errstate(all="ignore"):  # numbers beyond the range end in a refusal
         z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))
         try:
             z, notes = _equilibrium(plant, z, chosen, fixed)
-            return plant.linear(z, notes)
+            return _finite_model(plant.linear(z, notes))
         except EvaluationError as error:
             where = ", ".join(f"{name} = {value:g}" for name, value in zip(plant.names, z, strict=True))
             raise UserError(f"{path} cannot be evaluated near {where}: {error}") from None
+
+
+def _finite_model(model: LinearModel) -> LinearModel:
+    for M, rows in (
+        (model.A, model.states),
+        (model.B, model.states),
+        (model.C, model.outputs),
+        (model.D, model.outputs),
+    ):
+        for i, _ in np.argwhere(~np.isfinite(M)):
+            raise UserError(f"the derivatives of {rows[i].name} are beyond the range of numbers")
+    return model
 
 
 # What an FMU says, by its kind
@@ -364,6 +377,8 @@ class _CoSimulationPlant(_Plant):
 
     def _step_error(self, z: Array, count: int, AB: Array, notes: list[str]) -> float:
         """Return by how much A and B, relative, change with half the communication step; 0 where the FMU takes none."""
+        if not getattr(self._instance.description.coSimulation, "canHandleVariableCommunicationStepSize", False):
+            return 0.0
         try:
             J = self._jacobian(z, 2 * count, 0.5 * self.step)
         except EvaluationError:
@@ -665,11 +680,17 @@ def _reduced(model: LinearModel, kept: Sequence[int]) -> LinearModel:
 
 
 def _state_pairs(instance: Instance, states: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return (output, parameter that sets it) of each state of a co-simulation FMU."""
-    readable = [v.name for v in instance.variables.values() if v.type == "Real" and v.causality in ("output", "local")]
-    parameters = [v.name for v in instance.variables.values() if v.type == "Real" and v.causality == "parameter"]
+    """Return (output, what sets it at the start) of each state of a co-simulation FMU."""
+    real = [v for v in instance.variables.values() if v.type == "Real"]
+    readable = [v.name for v in real if v.causality in ("output", "local")]
+    own = [v.name for v in real if v.name in readable and v.initial == "exact" and v.variability != "constant"]
+    settable = [*(v.name for v in real if v.causality == "parameter"), *own]
+
+    def setter(name: str) -> str:
+        return name if name in own and name + START not in settable else name + START
+
     if not states:
-        found = [(name, name + START) for name in readable if name + START in parameters]
+        found = [(name, setter(name)) for name in readable if setter(name) in settable]
         if found:
             return _bounded(found, "states")
         raise UserError(
@@ -679,8 +700,8 @@ def _state_pairs(instance: Instance, states: tuple[str, ...]) -> list[tuple[str,
     pairs = []
     for text in states:
         name, _, parameter = text.partition("=")
-        pairs.append((name, parameter or name + START))
-        for part, known, what in ((name, readable, "real output"), (pairs[-1][1], parameters, "real parameter")):
+        pairs.append((name, parameter or setter(name)))
+        for part, known, what in ((name, readable, "real output"), (pairs[-1][1], settable, "real parameter")):
             _index(part, known, what)
     for side, what in ((0, "state"), (1, "parameter")):
         _check_once([pair[side] for pair in pairs], what)
@@ -752,7 +773,7 @@ def _unit(variable: ScalarVariable) -> str:
     """Return the declared unit, else the one in brackets at the end of the description, as PythonFMU has no units."""
     declared = _attribute(variable, "unit")
     if declared is not None:
-        return str(declared)
+        return str(declared).strip() or "1"
     match = re.search(r"\[([^\[\]]{1,40})\]\s*$", variable.description or "")
     return match[1].strip() if match else "1"
 

@@ -43,7 +43,8 @@ def linearize(
             "--state",
             metavar="OUTPUT[=PARAMETER]",
             help="For FMUs for co-simulation only: output that is a state, and the parameter that sets it at the start; "
-            "none: all outputs S with a parameter S_0. For model exchange: state to keep; none: all.",
+            "none: all outputs S with a parameter S_0, or whose own start value can be set. For model exchange: state to "
+            "keep; none: all.",
         ),
     ] = None,
     at: Annotated[
@@ -93,7 +94,7 @@ def linearize(
             start=dict(assignments(change)),
             step=step,
         )
-    write(path, model, f"From {fmu.name}: {model.method}.")
+    write(path, model, f"From {fmu.name if fmu.name.isprintable() else 'an FMU'}: {model.method}.")
     _print(model)
     say_notes(model.notes)
     console.print(f"wrote {escaped(path)}")

@@ -290,6 +290,37 @@ def test_a_plant_without_parameters_for_its_states_is_told_what_it_needs(plant):
     assert linear_model(named, states=["x=begin", "v=b.v"]).states == (Quantity("x", "m"), Quantity("v", "m"))
 
 
+def test_an_output_whose_start_value_can_be_set_is_its_own_parameter(plant):
+    fmu = plant("Own", RK4.format(acceleration="self.u - 4 * x"), "pass", ("x", "v"))
+    exact = repacked(
+        fmu,
+        fmu.with_name("Own2.fmu"),
+        lambda t: (
+            t.replace('causality="output">', 'causality="output" initial="exact">')
+            .replace("<Real/>", '<Real start="0"/>')
+            .replace('"x_0"', '"a"')
+            .replace('"v_0"', '"b"')
+        ),
+    )
+    np.testing.assert_allclose(linear_model(exact).A, [[0, 1], [-4, 0]], rtol=1e-8)
+    np.testing.assert_allclose(linear_model(exact, states=["v", "x"]).A, [[0, -4], [1, 0]], rtol=1e-8)
+
+
+def test_numbers_beyond_the_range_are_refused(plant):
+    with pytest.raises((UserError, FmuError)) as caught:
+        linear_model(plant("Huge", RK4.format(acceleration="1e307 * (self.u - x)")), at={"x": 0.0})
+    assert "\n" not in str(caught.value)
+
+
+def test_an_fmu_that_wants_one_communication_step_gets_no_other(plant):
+    step = "self.x, self.v = self.x + h * self.v, self.v + h * self.u\nif h != 1e-3:\n    raise ValueError(h)"
+    fmu = plant("Fixed", step)
+    model = linear_model(fmu, step=1e-3)
+    assert model.notes == ()
+    fixed = repacked(fmu, fmu.with_name("Fixed2.fmu"), lambda t: t.replace('StepSize="true"', 'StepSize="false"'))
+    np.testing.assert_array_equal(linear_model(fixed, step=1e-3).A, model.A)
+
+
 # A model for model exchange made by others
 
 
