@@ -13,6 +13,7 @@ from fmpy.validation import validate_fmu
 from cosim.fmu import start_values_of
 from cosim.linearize import linear_model
 from cosim.scenario import load_scenario
+from ihc_fmu.synthesis import Options, inverse_design
 from ihc_fmu.system import System
 
 from .conftest import EXAMPLES
@@ -206,3 +207,9 @@ def test_the_scenario_is_of_this_plant_and_begins_beside_the_equilibrium(name, f
     initial = {f"{q.name}_0" for q in system.states}
     assert scenario.plant.start.keys() <= initial <= start_values_of(fmu_of(name)).keys()
     assert scenario.run.step == system.sample_time
+
+
+def test_the_system_file_has_a_certified_homogeneous_controller(name):
+    design = inverse_design(System.load(EXAMPLES / name / f"{name}.toml"), Options(mu=1.0, alpha=0.05))
+    assert (design.mu, design.alpha) == (1.0, 0.05)
+    assert min(design.certificate.decrease, design.certificate.monotone, design.certificate.positive) > 0.0
