@@ -16,7 +16,7 @@ from .errors import UserError
 from .options import assignments
 
 if TYPE_CHECKING:
-    from .linearize import LinearModel
+    from .linear_model import LinearModel
 
 _PI = re.compile(r"([+-]?)(?:(\d+(?:\.\d*)?)\s*\*?\s*)?pi(?:\s*/\s*(\d+(?:\.\d*)?))?")
 

@@ -14,7 +14,7 @@ from fmu_export.reading import parse_toml, read_text
 from ihc_fmu.system import System, from_dict
 
 from .errors import UserError
-from .linearize import LinearModel
+from .linear_model import LinearModel
 
 LINE = "# The model: linearize replaces what stands below this line and leaves what stands above as it is."
 """Parts a file in two."""
