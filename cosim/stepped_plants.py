@@ -20,7 +20,7 @@ from .plant_variables import real_inputs, real_outputs, start_of, state_pairs
 Array = np.ndarray
 
 ANGLE = 0.2
-"""How far the steps in co-simulation go: T times the norm of A."""
+"""How far the steps in co-simulation go: T times the norm of A in balanced units."""
 MOST_STEPS = 50
 
 
@@ -66,7 +66,8 @@ class CoSimulationPlant(Plant):
     def linear(self, z: Array, notes: list[str]) -> LinearModel:
         """Return the linear model about z; `notes` are added to its own."""
         A = self._logarithm(self._jacobian(z, 1, self.step), z, self.step)[0]
-        norm = float(np.linalg.norm(matrix_balance(A)[0], 2))
+        sizes = self.sizes(z)[: self.n]
+        norm = float(np.linalg.norm(matrix_balance(A * sizes / sizes[:, None])[0], 2))
         count = int(np.clip(round(ANGLE / (self.step * norm)) if norm > 0.0 else MOST_STEPS, 1, MOST_STEPS))
         time = count * self.step
         J = self._jacobian(z, count, self.step)
