@@ -1,6 +1,7 @@
 """The native FMU of one design: its own names, the library's numbers, its words."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,10 @@ DESIGNS = {
     "filtered": random_regulator(6, 2, 3, set_points=True, integral=True, mu=0.5),
     "largest": random_regulator(16, 8, 16, set_points=True, integral=True),
 }
+
+
+def described_by(path) -> Any:
+    return read_model_description(str(path))
 
 
 @pytest.fixture(scope="module")
@@ -58,14 +63,14 @@ def instance(files, tmp_path):
 def test_file_is_valid_and_named_after_the_design(files):
     for name, path in files.items():
         assert validate_fmu(str(path)) == []
-        described = read_model_description(str(path))
+        described = described_by(path)
         assert described.modelName == "plant_controller"
         assert described.coSimulation.modelIdentifier == f"{name}_controller"
         assert described.defaultExperiment.stepSize == str(H)
 
 
 def test_value_references_are_those_of_the_table(files):
-    references = {v.name: v.valueReference for v in read_model_description(str(files["filtered"])).modelVariables}
+    references = {v.name: v.valueReference for v in described_by(files["filtered"]).modelVariables}
     place = {v.name: i for i, v in enumerate(INTERFACE.variables)}
     assert references["u2"] == place["command_2"]
     assert references["y3_setpoint"] == place["setpoint_3"]
@@ -94,7 +99,7 @@ def test_fmu_has_the_librarys_numbers(name, instance):
 
 def test_start_values_are_the_designs_and_can_be_changed_at_export_or_before_the_run(export, instance):
     path = export("small", {"law": "LC", "u1_upper": 0.25})
-    starts = {v.name: v.start for v in read_model_description(str(path)).modelVariables}
+    starts = {v.name: v.start for v in described_by(path).modelVariables}
     assert float(starts["K_1_2"]) == DESIGNS["small"].K[0, 1]
     assert (starts["law"], float(starts["u1_upper"]), float(starts["mu"])) == ("1", 0.25, 0.5)
     native = instance("small").initialize(u1_equilibrium=0.125, u1_upper=0.2)
