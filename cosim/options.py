@@ -38,6 +38,17 @@ def assignments(items: list[str] | None) -> list[tuple[str, Any]]:
     return pairs
 
 
+def varied(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the entry and its values by their texts, of ENTRY=VALUE,VALUE,...; values are read as those of --set."""
+    name, equals, values = text.partition("=")
+    if not equals or not name.strip():
+        raise UserError(f"--vary takes ENTRY=VALUE,VALUE, found {text!r}")
+    texts = [value.strip() for value in values.split(",")]
+    if len(set(texts)) < len(texts) or not all(texts):
+        raise UserError(f"--vary takes different values, found {text!r}")
+    return name.strip(), {value: _value(name, value) for value in texts}
+
+
 def _value(name: str, text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
