@@ -344,7 +344,7 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from .metrics import can_evaluate
+    from .metrics import can_draw, can_evaluate
     from .scenario import build_system, load_scenario, remarks, run_scenario
 
     chosen, folder = load_scenario(scenario)
@@ -387,7 +387,7 @@ def run(
         console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
     warn_of_messages(result)
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
-    if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:
+    if plot and can_evaluate(result) and can_draw(result):
         from .plots import save_overview
 
         picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)

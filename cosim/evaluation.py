@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, StrictStr, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, StrictStr, field_validator, model_validator
 
 from fmu_export.variables import did_you_mean
 
@@ -40,7 +40,6 @@ class EvaluateSection(BaseModel):
 
     errors: tuple[str, ...] | None = Field(
         None,
-        min_length=1,
         description="signals that should be 0, or at their set-points; none: those that are wired to the controller",
     )
     controls: tuple[str, ...] | None = Field(
@@ -54,6 +53,13 @@ class EvaluateSection(BaseModel):
     tolerance: Positive | None = Field(
         None, description=f"|e| within which a run counts as settled, in its unit, 1 with scales; none: {TOLERANCE:g}"
     )
+
+    @field_validator("errors", "scales")
+    @classmethod
+    def _some(cls, value: tuple[Any, ...] | None) -> tuple[Any, ...] | None:
+        if value == ():
+            raise ValueError("must have at least one entry, found none")
+        return value
 
 
 class _Part(BaseModel, frozen=True, extra="ignore"):

@@ -315,6 +315,12 @@ def can_evaluate(result: Result) -> bool:
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
+def can_draw(result: Result) -> bool:
+    """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
+    about = evaluation_in(result)
+    return about.kind != "pendulum" or about.norm in result.signals
+
+
 def error(result: Result, about: ErrorSignal) -> Array:
     """Return an error at each row: what the controller is given of a signal, less its set-point."""
     e = np.asarray(result[about.signal], dtype=float)

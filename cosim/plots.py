@@ -108,7 +108,7 @@ def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> 
         for suffix, group in about.error_groups.items()
     ]
     figures = [_errors(results, about), _logarithmic(results, norms), _controls(results, about)]
-    if about.norm is not None:
+    if _has_norm(about, results.values()):
         homogeneous = (f"homogeneous norm {NORM}", lambda result: result[about.norm or ""])
         figures.append(_logarithmic(results, [homogeneous]))
     names = PICTURES[about.kind]
@@ -119,11 +119,19 @@ def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> 
     ]
 
 
+def _has_norm(about: Evaluation, results: Iterable[Result]) -> bool:
+    """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
+    return about.norm is not None and (
+        about.kind == "pendulum" or all(about.norm in result.signals for result in results)
+    )
+
+
 def save_overview(result: Result, path: Path, title: str) -> Path:
     """Write one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     about = evaluation_in(result)
+    has_norm = _has_norm(about, [result])
     groups = about.error_groups if len(about.errors) > 1 else {}
-    count = len(about.errors) + len(groups) + len(about.controls) + (about.norm is not None)
+    count = len(about.errors) + len(groups) + len(about.controls) + has_norm
     figure = Figure(figsize=(9, 1.8 * max(count, 2)), layout="constrained")
     axes = iter(all_axes := figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     colour = COLOURS.get(law_of(result), COLOURS["IHC"])
@@ -141,8 +149,8 @@ def save_overview(result: Result, path: Path, title: str) -> Path:
         axis = next(axes)
         axis.plot(result.time, result[control.signal], color=colour, lw=1.0, drawstyle="steps-pre")
         axis.set_ylabel(label(control))
-    if about.norm is not None:
-        positive(axis := next(axes), result.time, result[about.norm], colour)
+    if has_norm:
+        positive(axis := next(axes), result.time, result[about.norm or ""], colour)
         axis.set_ylabel(NORM)
     all_axes[-1].set_xlabel("time [s]")
     figure.align_ylabels(all_axes)

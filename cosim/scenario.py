@@ -335,7 +335,7 @@ class _Plan:
         seed = self.scenario.run.seed
         if seed is not None and not random_measurement(self.own.get(PLANT, {}), seed):
             raise UserError(
-                f"run.seed draws encoder offsets (parameters *{OFFSET} of the plant) and seeds its noise (noise_seed), "
+                f"run.seed draws encoder offsets (parameters *{OFFSETS[0]} or *{OFFSETS[1]}) and seeds its noise (noise_seed), "
                 f"which this plant has not, found {seed}"
             )
 
@@ -426,8 +426,8 @@ class _Plan:
         return evaluation_of(section, self.variables, start, self.wires(), self.signals(), angles)
 
 
-OFFSET = "_encoder_offset"
-"""How the names of parameters end that say where inside a count an encoder was zeroed, in counts."""
+OFFSETS = ("_encoder_offset", "_resolution_offset")
+"""How the names of parameters end that say where inside a count a sensor was zeroed, in counts."""
 
 
 def random_measurement(own: Mapping[str, StartValue], seed: int) -> dict[str, StartValue]:
@@ -445,7 +445,7 @@ def random_measurement(own: Mapping[str, StartValue], seed: int) -> dict[str, St
 
 def offsets(own: Mapping[str, StartValue]) -> list[str]:
     """Return the names of a plant's encoder offsets, in the order of its variables."""
-    return [name for name in own if name.endswith(OFFSET)]
+    return [name for name in own if name.endswith(OFFSETS)]
 
 
 def plant_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:

@@ -403,7 +403,9 @@ def best_again(folder, problem, **changes):
         numbers(run_scenario(drawn(scenario.changed(changes), draw), problem.fmus, beside))
         for draw in range(1, problem.draws + 1)
     ]
-    return tuple(pytest.approx(statistics.fmean(n[name] for n in found)) for name in (problem.measure, "voltage_variation"))
+    return tuple(
+        pytest.approx(statistics.fmean(n[name] for n in found)) for name in (problem.measure, "voltage_variation")
+    )
 
 
 @pytest.mark.parametrize("measure", ["integral_q2", "energy"])
