@@ -10,6 +10,7 @@ import secrets
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
     from .results import Result
+    from .scenario import Scenario
 
 FAILED, USAGE, FAULT, CTRL_C = 1, 2, 70, 130
 """Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
@@ -324,6 +326,43 @@ def _load_design(path: Path) -> Design:
     return Design.load(path)
 
 
+def _loaded(name: str, fmus: Path) -> tuple[Scenario, Path, Path]:
+    """Return (scenario, its folder, the folder of its FMUs): an SSP file has its own."""
+    from .scenario import load_scenario
+    from .ssp import SUFFIX
+
+    chosen, folder = load_scenario(name)
+    return chosen, folder, folder if Path(name).suffix == SUFFIX else fmus
+
+
+@app.command()
+def ssp(
+    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; none: `NAME.ssp`.")] = None,
+    fmus: FmusOption = Path("fmus"),
+    change: SetOption = None,
+) -> None:
+    """Write a scenario as one SSP file: FMUs, wires, start values, step and duration; `run` runs it, other tools too.
+
+    Signals and disturbances have no place in it.
+    """
+    from .master import Coupling
+    from .scenario import build_system
+    from .ssp import SUFFIX, write
+
+    chosen, folder, fmus = _loaded(scenario, fmus)
+    chosen = chosen.changed(dict(assignments(change)))
+    path = output or Path(f"{chosen.name}{SUFFIX}")
+    if path.suffix != SUFFIX:
+        raise UserError(f"--output must name a {SUFFIX} file, found {path}")
+    system = build_system(chosen, fmus, folder)
+    start = Coupling(system).start
+    system = replace(system, components=[replace(c, start=start[c.name]) for c in system.components])
+    say_notes(f"an SSP has no signals: {s.target} keeps its start value there" for s in system.signals)
+    written = write(path, chosen.name, system, chosen.run.duration, chosen.run.step)
+    console.print(f"wrote {escaped(written)}")
+
+
 @app.command()
 def run(
     scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
@@ -345,9 +384,9 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from .metrics import can_draw, can_evaluate
-    from .scenario import build_system, load_scenario, remarks, run_scenario
+    from .scenario import build_system, remarks, run_scenario
 
-    chosen, folder = load_scenario(scenario)
+    chosen, folder, fmus = _loaded(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
     chosen = chosen.changed(changes)
     path = output or Path("results") / f"{chosen.name}.csv"
@@ -451,7 +490,7 @@ def compare(
     Given results of `run` or `hil` instead, show them side by side.
     """
     from .experiments import LAW, LAWS, Study, check_names, laws_of
-    from .scenario import build_system, load_scenario, remarks
+    from .scenario import build_system, remarks
 
     if laws is not None and vary is not None:
         raise UserError("compare takes --laws or --vary, not both")
@@ -460,7 +499,7 @@ def compare(
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
-    chosen, folder = load_scenario(scenario[0])
+    chosen, folder, fmus = _loaded(scenario[0], fmus)
     chosen = chosen.changed(dict(assignments(change)))
     if vary is not None:
         entry, values = varied(vary)
@@ -572,11 +611,11 @@ def tune(
 
     from .campaign import Journal
     from .pendulum import is_controller
-    from .scenario import controller_values, load_scenario
+    from .scenario import controller_values
     from .tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from .tuning import tune as run_tuning
 
-    chosen, folder = load_scenario(scenario)
+    chosen, folder, fmus = _loaded(scenario, fmus)
     chosen = chosen.changed(dict(assignments(change)))
     given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
     grid = Grid(
@@ -624,8 +663,6 @@ def paper(
 
     Interrupt it at any time: finished runs are kept, and the same command goes on from there.
     """
-    from dataclasses import replace
-
     from ihc_fmu.pendulum.start_values import default_design
 
     from .paper.report import make

@@ -230,6 +230,8 @@ def evaluation_of(
     back = {true.get(source, source): wire for source, wire in measured.items()}
     driven = {s.target for s in signals if s.recorded}
     find = _Found(variables, start, wires, driven)
+    acting = list(dict.fromkeys(acting)) if section.controls is None else list(section.controls)
+    labels = _labels([*chosen, *acting])
     mode = variables.get(CONTROLLER, {}).get("mode")
     items = getattr(getattr(mode, "declaredType", None), "items", None) or ()
     has_mode = mode is not None and mode.causality == "output" and items
@@ -237,10 +239,11 @@ def evaluation_of(
     return checked(
         Evaluation,
         {
-            "errors": [find.error(name, back.get(name), wraps=name in angles) for name in chosen],
+            "errors": [
+                {**find.error(name, back.get(name), wraps=name in angles), "label": labels[name]} for name in chosen
+            ],
             "controls": [
-                {"signal": name, "unit": find.unit(name, "controls")}
-                for name in (dict.fromkeys(acting) if section.controls is None else section.controls)
+                {"signal": name, "unit": find.unit(name, "controls"), "label": labels[name]} for name in acting
             ],
             "scales": section.scales,
             "tolerance": section.tolerance or TOLERANCE,
@@ -251,6 +254,13 @@ def evaluation_of(
         },
         "evaluate",
     )
+
+
+def _labels(names: Sequence[str]) -> dict[str, str]:
+    """Return what signals are called in pictures: without their component where that leaves them different."""
+    different = list(dict.fromkeys(names))
+    short = [name.partition(".")[2] for name in different]
+    return {name: own if own and short.count(own) == 1 else name for name, own in zip(different, short, strict=True)}
 
 
 class _Found:

@@ -13,7 +13,7 @@ from fmu_export.errors import shown
 from .errors import UserError
 
 SCENARIOS = Path(__file__).parent / "scenarios"
-SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
+SCENARIO_HELP = f"TOML or SSP file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
 
 FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
 SetOption = Annotated[

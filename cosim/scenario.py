@@ -20,7 +20,7 @@ from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS
 
-from . import parameter_files, pendulum, wiring
+from . import parameter_files, pendulum, ssp, wiring
 from .errors import UserError
 from .evaluation import EvaluateSection, Evaluation, evaluation_of
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
@@ -202,11 +202,16 @@ def built_in_names() -> list[str]:
 
 
 def load_scenario(name: str) -> tuple[Scenario, Path]:
-    """Return (scenario, its folder) from a TOML file, or a built-in one by its name.
+    """Return (scenario, its folder) from a TOML file or an SSP file, or a built-in one by its name.
+
+    The folder of an SSP file is where its FMUs were unpacked.
 
     Raises UserError that names the file, the entry, the rule and the value.
     """
     path = Path(name)
+    if path.suffix == ssp.SUFFIX:
+        data, folder = ssp.read(path)
+        return _validated({"name": path.stem, **data}, str(path)), folder
     if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
         if name in built_in_names():
             path = BUILT_IN / f"{name}.toml"
@@ -335,8 +340,8 @@ class _Plan:
         seed = self.scenario.run.seed
         if seed is not None and not random_measurement(self.own.get(PLANT, {}), seed):
             raise UserError(
-                f"run.seed draws encoder offsets (parameters *{OFFSETS[0]} or *{OFFSETS[1]}) and seeds its noise (noise_seed), "
-                f"which this plant has not, found {seed}"
+                f"run.seed draws the plant's offsets (*{OFFSETS[0]}, *{OFFSETS[1]}) and seeds its noise (noise_seed), which "
+                f"this plant has not, found {seed}"
             )
 
     def system(self) -> System:
@@ -419,7 +424,8 @@ class _Plan:
 
     def evaluation(self) -> Evaluation | None:
         section = self.scenario.evaluate
-        if self.swings and self.balances and self.scenario.wires is None and section == EvaluateSection():  # type: ignore[call-arg]
+        usual = set(self.wires()) in (set(wires) for wires in WIRES.values())
+        if self.swings and self.balances and usual and section == EvaluateSection():  # type: ignore[call-arg]
             return None
         angles = [f"{PLANT}.{name}" for name in pendulum.ANGLES] if self.swings else []
         start = {name: {**own, **self.scenario.parts[name].start} for name, own in self.own.items()}

@@ -252,7 +252,7 @@ def test_what_is_the_pendulums_is_refused_elsewhere(units, scenario):
         chosen, folder = scenario(CART_SCENARIO)
         with pytest.raises(UserError, match=rf"^{entry} is for the FMU \w+, and cart\w*\.fmu is another FMU"):
             run_scenario(chosen.changed({entry: value}), units, folder)
-    with pytest.raises(UserError, match=r"run\.seed draws encoder offsets .* which this plant has not, found 1"):
+    with pytest.raises(UserError, match=r"run\.seed draws the plant's offsets .* which this plant has not, found 1"):
         run_scenario(chosen.changed({"run.seed": 1}), units, folder)
 
 
@@ -408,7 +408,7 @@ def test_errors_of_one_unit_add_up_and_others_stand_side_by_side(units, scenario
     assert found.settling_time == result.time[late]
     texts = {q.name: (q.heading, q.meaning) for q in found.quantities.values()}
     assert texts["settling_time"] == ("settling [s]", "from then on |e| ≤ 0.005 m to the end of the run")
-    assert texts["peak"] == ("peak |controller.force| [N]", "over the run")
+    assert texts["peak"] == ("peak |force| [N]", "over the run")
     scaled = chosen.changed({"evaluate.scales": [0.1, 0.5]})
     result = run_scenario(scaled, units, folder)
     norm = np.hypot(result["plant.position"] / 0.1, result["plant.speed"] / 0.5)
@@ -474,7 +474,7 @@ def place(units, tmp_path):
 def test_run_prints_and_draws_in_the_systems_own_words(units, place):
     done = ended("run", "cart.toml", "--fmus", units, cwd=place)
     assert done.returncode == 0, done.stderr
-    assert "peak |controller.force|  " in done.stdout
+    assert "peak |force|  " in done.stdout
     for word in ("|q|", "voltage", "pendulum", " V", "arm"):
         assert word not in done.stdout.replace(str(place), "")
     assert files(place / "results") == ["cart.csv", "cart.json", "cart.png"]
