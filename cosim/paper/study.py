@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu_export.files import write_file
+from filing.files import write_file
 from ihc_fmu.design import Design, Options, inverse_design
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.start_values import default_design

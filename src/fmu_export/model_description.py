@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from .units import DISPLAY, base_units
+from .origin import ANONYMOUS, Origin
+from .units import DISPLAY, base_unit
 from .variables import Interface, Value, Variable
 
 
@@ -27,49 +28,66 @@ class ModelExchange:
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What of an FMU depends on how it is made."""
+    """What of an FMU depends on how it is made.
 
+    `identifier` is the modelIdentifier: the name of its binary, a C identifier.
+    """
+
+    identifier: str
     needs_execution_tool: bool
     generation_tool: str
-    version: str
+    origin: Origin = ANONYMOUS
     sources: tuple[str, ...] = ()
     model_exchange: ModelExchange | None = None
 
 
-def model_description(interface: Interface, start: Mapping[str, Value], guid: str, capabilities: Capabilities) -> bytes:
+def model_description(
+    interface: Interface,
+    start: Mapping[str, Value],
+    guid: str,
+    capabilities: Capabilities,
+    references: Sequence[int] | None = None,
+) -> bytes:
     """Return modelDescription.xml as UTF-8, the same bytes for the same arguments.
 
-    `start` maps parameters and inputs to their start values.
+    `start` maps parameters and inputs to their start values. `references` are the value references of the variables; None:
+    their positions.
     """
+    origin = capabilities.origin
+    said = {
+        "author": origin.author,
+        "version": origin.version,
+        "license": origin.license,
+        "generationTool": capabilities.generation_tool,
+    }
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
         modelName=interface.name,
         guid=guid,
         description=interface.description,
-        author="The qube-ihc developers",
-        version=capabilities.version,
-        license="MIT",
-        generationTool=capabilities.generation_tool,
-        variableNamingConvention="flat",
-        numberOfEventIndicators="0",
     )
+    for name, text in said.items():
+        if text:
+            root.set(name, text)
+    root.set("variableNamingConvention", "flat")
+    root.set("numberOfEventIndicators", "0")
     _add_kinds(root, interface, capabilities)
     _add_units(root, interface)
-    _add_types(root, interface)
+    types = _add_types(root, interface)
     _add_log_categories(root)
     ET.SubElement(
         root,
         "DefaultExperiment",
         startTime="0",
         stopTime=repr(interface.stop_time),
-        stepSize=repr(start[interface.step_parameter] if interface.step_parameter else interface.step_size),
+        stepSize=repr(interface.default_step(start)),
     )
     variables = ET.SubElement(root, "ModelVariables")
     exchange = capabilities.model_exchange
     index = {v.name: i for i, v in enumerate(interface.variables, start=1)}
-    for reference, variable in enumerate(interface.variables):
-        scalar = _add_variable(variables, variable, reference, start.get(variable.name))
+    for reference, variable in zip(references or range(len(index)), interface.variables, strict=True):
+        scalar = _add_variable(variables, variable, reference, start.get(variable.name), types)
         if exchange is not None and variable.name in exchange.derivatives:
             state = exchange.states[exchange.derivatives.index(variable.name)]
             scalar[0].set("derivative", str(index[state]))
@@ -81,7 +99,7 @@ def model_description(interface: Interface, start: Mapping[str, Value], guid: st
 def _add_kinds(root: ET.Element, interface: Interface, capabilities: Capabilities) -> None:
     """Add the elements ModelExchange, where the unit is for it, and CoSimulation."""
     common = {
-        "modelIdentifier": interface.name,
+        "modelIdentifier": capabilities.identifier,
         "needsExecutionTool": _boolean(capabilities.needs_execution_tool),
         "canBeInstantiatedOnlyOncePerProcess": "false",
         "canNotUseMemoryManagementFunctions": "true",
@@ -121,26 +139,34 @@ def _add_units(root: ET.Element, interface: Interface) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in sorted({v.unit for v in interface.variables if v.type == "Real"}):
         unit = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(unit, "BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
+        base = base_unit(name)
+        if base is not None:
+            ET.SubElement(unit, "BaseUnit", base.attributes)
         if name in DISPLAY:
             display, factor = DISPLAY[name]
             ET.SubElement(unit, "DisplayUnit", name=display, factor=repr(factor))
 
 
-def _type_name(variable: Variable) -> str:
-    return f"{variable.name}_type"
+def _type_name(variable: Variable, interface: Interface) -> str:
+    name = f"{variable.name}_type"
+    while name in interface.by_name:
+        name += "_"
+    return name
 
 
-def _add_types(root: ET.Element, interface: Interface) -> None:
+def _add_types(root: ET.Element, interface: Interface) -> dict[str, str]:
+    """Add the enumerations' types; return their names, which no variable has, by variable."""
     enumerations = [v for v in interface.variables if v.type == "Enumeration"]
     if not enumerations:
-        return
+        return {}
+    types = {v.name: _type_name(v, interface) for v in enumerations}
     definitions = ET.SubElement(root, "TypeDefinitions")
     for variable in enumerations:
-        simple = ET.SubElement(definitions, "SimpleType", name=_type_name(variable))
+        simple = ET.SubElement(definitions, "SimpleType", name=types[variable.name])
         enumeration = ET.SubElement(simple, "Enumeration")
         for value, item in enumerate(variable.items, start=1):
             ET.SubElement(enumeration, "Item", name=item, value=str(value))
+    return types
 
 
 def _add_log_categories(root: ET.Element) -> None:
@@ -153,7 +179,9 @@ def _add_log_categories(root: ET.Element) -> None:
         ET.SubElement(categories, "Category", name=name, description=description)
 
 
-def _add_variable(parent: ET.Element, variable: Variable, reference: int, start: Value | None) -> ET.Element:
+def _add_variable(
+    parent: ET.Element, variable: Variable, reference: int, start: Value | None, types: Mapping[str, str]
+) -> ET.Element:
     variability = variable.variability
     if variability == "continuous" and variable.type != "Real":
         variability = "discrete"
@@ -172,7 +200,7 @@ def _add_variable(parent: ET.Element, variable: Variable, reference: int, start:
         scalar.set("initial", "exact")
     kind = ET.SubElement(scalar, variable.type)
     if variable.type == "Enumeration":
-        kind.set("declaredType", _type_name(variable))
+        kind.set("declaredType", types[variable.name])
     if variable.type == "Real":
         kind.set("unit", variable.unit)
     for bound in ("min", "max"):

@@ -6,13 +6,13 @@ start values are compiled in, so that an importer that rebuilds them needs no fi
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 
 from .archive import content_guid, write_zip
 from .documentation import documents
 from .errors import UserError
+from .errors import shown as found
 from .model_description import Capabilities, model_description
 from .native_build import (
     BINARIES,
@@ -23,8 +23,10 @@ from .native_build import (
     host_platform,
     installed_library,
 )
-from .native_unit import ADAPTER, NativeUnit, start_value_file, start_value_source, unit_files
-from .variables import Value
+from .native_unit import ADAPTER, NativeUnit, is_c_identifier, start_value_file, start_value_source, unit_files
+from .origin import ANONYMOUS, Origin
+from .shown import Showing
+from .variables import LONGEST_NAME, Interface, Value
 
 START_VALUES_SOURCE = "start_values.c"
 FMI_LICENSE = ADAPTER / "fmi2" / "LICENSE.txt"
@@ -40,44 +42,78 @@ def export_native_fmu(
     platforms: Iterable[str] | None = None,
     building: Callable[[str], object] | None = None,
     outputs: Collection[str] | None = None,
+    *,
+    interface: Interface | None = None,
+    hidden: Mapping[str, Value | str] | None = None,
+    identifier: str | None = None,
+    origin: Origin = ANONYMOUS,
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
+
+    `interface` is what the FMU shows of the unit's compiled variables (`Variable.slot`), None: all of them as they are;
+    `hidden` are start values of others, by compiled names. `identifier` is the modelIdentifier, also the name of the binary
+    inside and of the functions of the sources, None: the unit's name. `origin` is who makes the FMU.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
     has built; others are compiled now, by the package ziglang; `building` is told which, before each. `outputs` names
     those that are outputs, None: all; the others become local variables. `notes` is HTML for the FMU's documentation. The
     same arguments give the same bytes. The file is written beside and renamed. Raises UserError for start values that the
-    interface does not admit or that contradict each other and for unknown platforms, BuildError where there is no binary.
+    interface does not admit or that contradict each other, for an identifier that is none in C and for unknown platforms,
+    BuildError where there is no binary, ValueError for an interface that does not fit the unit's table.
     """
-    interface = unit.interface
-    start = interface.start_values(changes)
-    unit.twin(start)
-    shown = interface if outputs is None else interface.exposing(outputs)
-    version = importlib.metadata.version("qube-ihc")
+    showing = Showing(unit.interface, unit.interface if interface is None else interface)
+    identifier = _checked(unit.interface.name if identifier is None else identifier)
+    start = showing.interface.start_values(changes)
+    values = _values(unit, showing, start, hidden or {})
+    shown = showing.interface if outputs is None else showing.interface.exposing(outputs)
     sources = {name: file.read_bytes() for name, file in unit.sources.items()}
-    sources |= {name: text.encode() for name, text in unit.generated.items()}
+    sources |= {name: text.encode() for name, text in unit.headers(identifier).items()}
     capabilities = Capabilities(
+        identifier=identifier,
         needs_execution_tool=False,
-        generation_tool=f"qube-ihc {version}",
-        version=version,
+        generation_tool=origin.tool,
+        origin=origin,
         sources=tuple(sorted([name for name in sources if name.endswith(".c")] + [START_VALUES_SOURCE])),
-        model_exchange=None if unit.model_exchange is None else unit.model_exchange(start),
+        model_exchange=None if unit.model_exchange is None else showing.exchange(unit.model_exchange(values)),
     )
     files = {f"sources/{name}": text for name, text in sources.items()}
     for platform in _platforms(platforms):
         if building is not None:
-            building(f"{interface.name} for {platform.name}")
-        name = f"{interface.name}{platform.suffix}"
+            building(f"{identifier} for {platform.name}")
+        name = f"{identifier}{platform.suffix}"
         files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
         if platforms is None and platform.name == "aarch64-linux":
             files[f"binaries/linux64/{name}"] = files[f"binaries/{platform.name}/{name}"]  # where FMPy looks on ARM
-    files |= documents(shown, start, notes, {"FMI.txt": ("the header files of FMI", FMI_LICENSE.read_bytes())})
-    guid = content_guid(files, model_description(shown, start, "", capabilities))
-    files["resources/start_values.bin"] = start_value_file(interface, guid, start)
-    files[f"sources/{START_VALUES_SOURCE}"] = start_value_source(interface, guid, start).encode()
-    files["modelDescription.xml"] = model_description(shown, start, guid, capabilities)
-    write_zip(path, files)
+    files |= documents(shown, start, notes, origin, {"FMI.txt": ("the header files of FMI", FMI_LICENSE.read_bytes())})
+    references = showing.references
+    digested = {**files, "values": start_value_file(unit.interface, "", values, showing.names)}
+    guid = content_guid(digested, model_description(shown, start, "", capabilities, references))
+    files["resources/start_values.bin"] = start_value_file(unit.interface, guid, values, showing.names)
+    files[f"sources/{START_VALUES_SOURCE}"] = start_value_source(unit.interface, guid, values, showing.names).encode()
+    files["modelDescription.xml"] = model_description(shown, start, guid, capabilities, references)
+    write_zip(path, files, origin.software)
     return path
+
+
+def _checked(identifier: str) -> str:
+    if not is_c_identifier(identifier) or len(identifier) > LONGEST_NAME:
+        raise UserError(
+            f"an FMU's identifier must be letters, digits and underscores, without a digit at its beginning and at most "
+            f"{LONGEST_NAME} of them, found {found(identifier)}"
+        )
+    return identifier
+
+
+def _values(
+    unit: NativeUnit, showing: Showing, start: Mapping[str, Value], hidden: Mapping[str, Value | str]
+) -> dict[str, Value]:
+    """Return the start values of all compiled variables, which the twin has admitted."""
+    values = showing.compiled_values(start, hidden)
+    try:
+        unit.twin(values)
+    except UserError as error:
+        raise UserError(showing.sentence(str(error))) from None
+    return values
 
 
 def _platforms(names: Iterable[str] | None) -> list[Platform]:

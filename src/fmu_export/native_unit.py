@@ -9,6 +9,8 @@ import re
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 from .model_description import ModelExchange
@@ -20,7 +22,6 @@ FROM_FILE = "start_values_file.c"
 """How prebuilt binaries find their start values; an FMU's own sources have them compiled in instead."""
 
 GUID_SIZE = 64
-
 _ROLES = {"parameter": "params", "input": "inputs", "output": "outputs", "local": "outputs"}
 
 
@@ -29,9 +30,12 @@ class NativeUnit:
     """A unit written in C.
 
     `folder` holds `<stem>.h`, `<stem>.c` and `<stem>_fmu.c`; `prefix` begins the names of its structs. The fields of the
-    structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array NAME. `twin` is the same unit
-    in Python, whose construction refuses start values that contradict each other. `model_exchange` tells its structure for
-    given start values, None for co-simulation only.
+    structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array NAME, and so are NAME_1_1,
+    NAME_1_2, ... by rows. `twin` is the same unit in Python, whose construction refuses start values that contradict each
+    other. `model_exchange` tells its structure for given start values, None for co-simulation only.
+
+    An FMU shows all variables of `interface`, or some of them under other names (`Variable.slot`); `twin` and
+    `model_exchange` always get the start values of all, and speak of them, by the names in `interface`.
     """
 
     interface: Interface
@@ -41,6 +45,16 @@ class NativeUnit:
     prefix: str
     model_exchange: Callable[[Mapping[str, Value]], ModelExchange] | None = None
     largest_model_exchange: ModelExchange | None = None
+
+    def __post_init__(self) -> None:
+        for variable in self.interface.variables:
+            if not is_c_identifier(variable.name) or variable.slot:
+                raise ValueError(f"variable name {variable.name!r} is not a C identifier")
+
+    @cached_property
+    def places(self) -> dict[str, tuple[str, int]]:
+        """Field and position in it of each variable."""
+        return _places(self.interface)
 
     @property
     def sources(self) -> dict[str, Path]:
@@ -52,7 +66,11 @@ class NativeUnit:
     @property
     def generated(self) -> dict[str, str]:
         """Texts of the generated headers by name."""
-        return {f"{self.stem}_table.h": variable_table(self), "fmu_model.h": model_header(self.interface)}
+        return self.headers(self.interface.name)
+
+    def headers(self, identifier: str) -> dict[str, str]:
+        """Return the generated headers by name for sources whose functions begin with `identifier`."""
+        return {f"{self.stem}_table.h": variable_table(self), "fmu_model.h": model_header(identifier)}
 
 
 def unit_files(unit: NativeUnit) -> dict[str, bytes]:
@@ -62,18 +80,22 @@ def unit_files(unit: NativeUnit) -> dict[str, bytes]:
     return files | {name: text.encode() for name, text in unit.generated.items()}
 
 
-def model_header(interface: Interface) -> str:
-    """Return the header with the unit's name, with which FMI wants the functions of a source FMU to begin."""
-    return f"""/* Generated: the name of this unit. A shared library has the plain names of FMI: compile it with
+def is_c_identifier(name: str) -> bool:
+    """Return whether `name` can be the name of something in C; keywords count as such."""
+    return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) is not None
+
+
+def model_header(identifier: str) -> str:
+    """Return the header with the name with which FMI wants the functions of a source FMU to begin."""
+    return f"""/* Generated: the name of this FMU. A shared library has the plain names of FMI: compile it with
  * FMI2_OVERRIDE_FUNCTION_PREFIX (FMI 2.0.5, section 2.1.1).
  */
 #ifndef FMU_MODEL_H
 #define FMU_MODEL_H
 
-#define MODEL_IDENTIFIER "{interface.name}"
-#define FMU_PREFIX {interface.name}_
+#define FMU_PREFIX {identifier}_
 #if !defined FMI2_FUNCTION_PREFIX
-#define FMI2_FUNCTION_PREFIX {interface.name}_
+#define FMI2_FUNCTION_PREFIX {identifier}_
 #endif
 
 #endif
@@ -81,26 +103,33 @@ def model_header(interface: Interface) -> str:
 
 
 def variable_table(unit: NativeUnit) -> str:
-    """Return the header with the unit's table of variables, for its `<stem>_fmu.c`."""
+    """Return the header with the unit's name and its table of variables, for its `<stem>_fmu.c`."""
     exchange = unit.largest_model_exchange
     index = {v.name: i for i, v in enumerate(unit.interface.variables)}
-    arrays = _arrays(unit.interface)
     lines = [
         f"/* Generated from the interface of {unit.interface.name}: its variables, in the order of their references. */",
         "#include <float.h>",
         "",
+        f'#define UNIT_NAME "{unit.interface.name}"',
+        "",
         "static const fmu_variable VARIABLES[] = {",
-        *(f"    {_entry(unit, v, arrays)}," for v in unit.interface.variables),
+        *(f"    {_entry(unit, v)}," for v in unit.interface.variables),
         "};",
         "",
         f"enum {{ VARIABLE_COUNT = {len(unit.interface.variables)} }};",
+        "",
+        "/* The reference of each field's first variable. */",
+        "enum {",
+        *(f"    VR_{unit.places[name][0]} = {i}," for name, i in index.items() if unit.places[name][1] == 0),
+        "};",
+        "",
     ]
     if exchange is not None:
         for name, members in (("STATES", exchange.states), ("DERIVATIVES", exchange.derivatives)):
             numbers = ", ".join(str(index[m]) for m in members)
             lines.append(f"static const unsigned {name}[] = {{{numbers}}};")
         lines.append(f"typedef char few_states[{len(exchange.states)} <= FMU_MOST_STATES ? 1 : -1];")
-    lines += _size_assertions(unit, arrays)
+    lines += _size_assertions(unit)
     lines += [
         f"typedef char small_inputs[sizeof({unit.prefix}_inputs) <= FMU_MOST_BYTES ? 1 : -1];",
         f"typedef char small_outputs[sizeof({unit.prefix}_outputs) <= FMU_MOST_BYTES ? 1 : -1];",
@@ -109,33 +138,50 @@ def variable_table(unit: NativeUnit) -> str:
     return "\n".join(lines)
 
 
-def _arrays(interface: Interface) -> dict[str, tuple[str, int]]:
-    """Return (array, position) for each variable that is an entry of one: NAME_1, NAME_2 or NAME_11, NAME_12, ..."""
-    groups: dict[str, list[str]] = {}
-    for variable in interface.variables:
-        match = re.fullmatch(r"(.+)_\d{1,2}", variable.name)
-        if match and variable.type == "Real":
-            groups.setdefault(match[1], []).append(variable.name)
-    return {name: (stem, i) for stem, names in groups.items() if len(names) > 1 for i, name in enumerate(names)}
+def _places(interface: Interface) -> dict[str, tuple[str, int]]:
+    """Return (field, position in it) by variable: entries of an array are NAME_1, NAME_2, ... or NAME_1_1, NAME_1_2, ...
+
+    Raises ValueError for entries that are not next to each other, in the order of their numbers and of one type.
+    """
+    groups: dict[str, list[tuple[int, Variable, list[int]]]] = {}
+    for i, variable in enumerate(interface.variables):
+        match = re.fullmatch(r"(.+?)((?:_\d+)+)", variable.name)
+        if match:
+            numbers = [int(number) for number in match[2].split("_")[1:]]
+            groups.setdefault(match[1], []).append((i, variable, numbers))
+    places = {v.name: (v.name, 0) for v in interface.variables}
+    for field, entries in groups.items():
+        if len(entries) == 1:
+            continue
+        for (i, a, before), (j, b, behind) in pairwise(entries):
+            if j != i + 1 or not before < behind or len(before) != len(behind) or _kind(a) != _kind(b):
+                raise ValueError(f"{a.name} and {b.name} must be neighbouring entries of one array {field}, by rows")
+        places |= {v.name: (field, position) for position, (_, v, _) in enumerate(entries)}
+    return places
 
 
-def _size_assertions(unit: NativeUnit, arrays: Mapping[str, tuple[str, int]]) -> list[str]:
+def _kind(variable: Variable) -> tuple[str, str]:
+    """Return the C type of a variable, and the end of the name of the struct that it is in."""
+    return "double" if variable.type == "Real" else "int", _ROLES[variable.causality]
+
+
+def _size_assertions(unit: NativeUnit) -> list[str]:
     """Return a declaration per field that does not compile where the struct differs from the interface."""
     sizes: dict[tuple[str, str], list[str]] = {}
     for v in unit.interface.variables:
-        field = arrays.get(v.name, (v.name, 0))[0]
-        kind = "double" if v.type == "Real" else "int"
-        sizes.setdefault((f"{unit.prefix}_{_ROLES[v.causality]}", field), []).append(kind)
+        kind, role = _kind(v)
+        sizes.setdefault((f"{unit.prefix}_{role}", unit.places[v.name][0]), []).append(kind)
     return [
         f"typedef char {struct}_{field}_fits[sizeof((({struct} *)0)->{field}) == {len(k)} * sizeof({k[0]}) ? 1 : -1];"
         for (struct, field), k in sizes.items()
     ]
 
 
-def _entry(unit: NativeUnit, variable: Variable, arrays: Mapping[str, tuple[str, int]]) -> str:
-    struct = f"{unit.prefix}_{_ROLES[variable.causality]}"
-    field, position = arrays.get(variable.name, (variable.name, 0))
-    offset = f"offsetof({struct}, {field})" + (f" + {position} * sizeof(double)" if position else "")
+def _entry(unit: NativeUnit, variable: Variable) -> str:
+    c_type, struct_role = _kind(variable)
+    struct = f"{unit.prefix}_{struct_role}"
+    field, position = unit.places[variable.name]
+    offset = f"offsetof({struct}, {field})" + (f" + {position} * sizeof({c_type})" if position else "")
     kind = {"Real": "FMU_REAL", "Boolean": "FMU_BOOLEAN"}.get(variable.type, "FMU_INTEGER")
     if variable.calculated:
         role = "FMU_OUTPUT"
@@ -160,19 +206,22 @@ def _number(value: float) -> str:
 
 def struct_initializer(unit: NativeUnit, start: Mapping[str, Value]) -> str:
     """Return the C initializer of the unit's parameter struct with the start values."""
-    arrays = _arrays(unit.interface)
     fields: dict[str, list[str]] = {}
     for v in unit.interface.of("parameter"):
         number = _number(float(start[v.name])) if v.type == "Real" else str(int(start[v.name]))
-        fields.setdefault(arrays.get(v.name, (v.name, 0))[0], []).append(number)
+        fields.setdefault(unit.places[v.name][0], []).append(number)
     texts = {name: v[0] if len(v) == 1 else "{" + ", ".join(v) + "}" for name, v in fields.items()}
     return "{" + ", ".join(f".{name} = {text}" for name, text in texts.items()) + "}"
 
 
-def start_value_source(interface: Interface, guid: str, start: Mapping[str, Value]) -> str:
-    """Return the C source that has the GUID and the start values compiled in."""
-    numbers = "\n".join(f"    {_number(_start(v, start))}, /* {v.name} */" for v in interface.variables)
-    return f"""/* Generated: the GUID and the start values of this FMU, in the order of the value references. */
+def start_value_source(table: Interface, guid: str, start: Mapping[str, Value], names: Mapping[str, str]) -> str:
+    """Return the C source that has the GUID, the start values and the shown names compiled in.
+
+    `start` and `names` are by the names of the compiled variables; those without a name are not shown.
+    """
+    numbers = "\n".join(f"    {_number(_start(v, start))}, /* {v.name} */" for v in table.variables)
+    texts = "\n".join(f"    {_c_string(names[v.name]) if v.name in names else 'NULL'}," for v in table.variables)
+    return f"""/* Generated: GUID, start values and names of this FMU's variables, in the order of the value references. */
 #include <stdio.h>
 #include <string.h>
 
@@ -182,29 +231,46 @@ static const double START[] = {{
 {numbers}
 }};
 
-int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE], double *values, size_t count,
-                          char *problem, size_t problem_size)
+/* NULL for what is not shown. */
+static const char *const NAMES[] = {{
+{texts}
+}};
+
+int fmu_load_start_values(const char *resource_location, fmu_start *start, size_t count, char *problem,
+                          size_t problem_size)
 {{
     (void)resource_location;
     if (count != sizeof START / sizeof START[0]) {{
         snprintf(problem, problem_size, "the sources of this FMU do not belong together");
         return -1;
     }}
-    memcpy(values, START, sizeof START);
-    snprintf(guid, FMU_GUID_SIZE, "{guid}");
+    memcpy(start->values, START, sizeof START);
+    memcpy(start->names, NAMES, sizeof NAMES);
+    snprintf(start->guid, FMU_GUID_SIZE, {_c_string(guid)});
     return 0;
 }}
 """
 
 
-def start_value_file(interface: Interface, guid: str, start: Mapping[str, Value]) -> bytes:
-    """Return the bytes of `resources/start_values.bin`: see `start_values_file.c`, which reads them."""
-    numbers = [_start(v, start) for v in interface.variables]
-    name = guid.encode("ascii")
-    if len(name) >= GUID_SIZE:
+def _c_string(text: str) -> str:
+    """Return the C literal of a text in UTF-8, itself in plain ASCII; octal escapes end where they must."""
+    plain = (byte if 32 <= byte < 127 and chr(byte) not in '"\\?' else None for byte in text.encode())
+    coded = zip(plain, text.encode(), strict=True)
+    return '"' + "".join(chr(byte) if kept is not None else f"\\{byte:03o}" for kept, byte in coded) + '"'
+
+
+def start_value_file(table: Interface, guid: str, start: Mapping[str, Value], names: Mapping[str, str]) -> bytes:
+    """Return the bytes of `resources/start_values.bin`: see `start_values_file.c`, which reads them.
+
+    `start` and `names` as in `start_value_source`.
+    """
+    numbers = [_start(v, start) for v in table.variables]
+    identity = guid.encode("ascii")
+    if len(identity) >= GUID_SIZE:
         raise ValueError(f"a GUID must be shorter than {GUID_SIZE} characters, found {guid}")
-    head = b"FMUstart" + struct.pack("<II", 1, len(numbers)) + name.ljust(GUID_SIZE, b"\0")
-    return head + struct.pack(f"<{len(numbers)}d", *numbers)
+    texts = b"".join(names.get(v.name, "").encode() + b"\0" for v in table.variables)
+    head = b"FMUstart" + struct.pack("<II", 2, len(numbers)) + identity.ljust(GUID_SIZE, b"\0")
+    return head + struct.pack(f"<{len(numbers)}d", *numbers) + struct.pack("<I", len(texts)) + texts
 
 
 def _start(variable: Variable, start: Mapping[str, Value]) -> float:

@@ -9,35 +9,46 @@ from xml.etree import ElementTree as ET
 
 from .archive import write_zip
 from .errors import UserError
-from .ownership import SOFTWARE
-from .units import base_units
+from .origin import ANONYMOUS, Origin
+from .units import base_unit
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
 
 
-def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iterable[tuple[str, str]]) -> Path:
+def write_ssp(
+    path: Path,
+    name: str,
+    components: Mapping[str, Path],
+    wires: Iterable[tuple[str, str]],
+    origin: Origin = ANONYMOUS,
+) -> Path:
     """Write the SSP `path` of the FMU files `components` by instance name and the `wires`; return `path`.
 
-    A wire is (output, input), each as `instance.variable`. All outputs become connectors, and those inputs that a wire
-    ends at; other inputs keep their start values. An annotation gives OMSimulator its master: fixed steps, as long as the
-    FMUs that cannot vary theirs want. The same files give the same bytes. Raises UserError for a wire from what is no output
-    or to what is no input.
+    A wire is (output, input), each as `instance.variable`; a variable's name may have dots, an instance's not. All outputs
+    become connectors, and those inputs that a wire ends at; other inputs keep their start values. An annotation gives
+    OMSimulator its master: fixed steps, as long as the FMUs that cannot vary theirs want. The same files give the same
+    bytes. `origin` is who makes the file. Raises UserError for a wire from what is no output or to what is no input.
     """
-    ends = [(*a.split("."), *b.split(".")) for a, b in wires]
+    ends = [(*_parts(a), *_parts(b)) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
     ET.register_namespace("oms", OMS)
-    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0", generationTool=SOFTWARE)
+    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0", generationTool=origin.software)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}
     units: set[str] = set()
     descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
+    causalities = {
+        (instance, v.get("name")): v.get("causality")
+        for instance, d in descriptions.items()
+        for v in d.iter("ScalarVariable")
+    }
     for a, x, b, y in ends:
         for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
-            if descriptions[owner].find(f"*/ScalarVariable[@name='{variable}'][@causality='{causality}']") is None:
+            if causalities.get((owner, variable)) != causality:
                 raise UserError(f"the wire {a}.{x} -> {b}.{y} needs the {causality} {owner}.{variable}")
     for instance, fmu in components.items():
         source = f"resources/{fmu.name}"
@@ -56,8 +67,13 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     _add_units(root, units)
     ET.indent(root)
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-    write_zip(path, files)
+    write_zip(path, files, origin.software)
     return path
+
+
+def _parts(end: str) -> tuple[str, str]:
+    instance, _, variable = end.partition(".")
+    return instance, variable
 
 
 def _description(fmu: Path) -> ET.Element:
@@ -91,7 +107,10 @@ def _add_master(system: ET.Element, step: float) -> None:
 
 
 def _add_connectors(component: ET.Element, description: ET.Element, wired: set[str]) -> set[str]:
-    """Add the FMU's outputs and wired inputs as connectors; return the units that they use."""
+    """Add the FMU's outputs and wired inputs as connectors; return the units that they use.
+
+    SSP wants every unit in base units: a connector of another unit has none.
+    """
     connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
@@ -103,14 +122,17 @@ def _add_connectors(component: ET.Element, description: ET.Element, wired: set[s
         kind_of_value = declared.tag.replace("Enumeration", "Integer")  # as FMI reads it; libcosim refuses the other
         own = ET.SubElement(connector, f"{{{SSC}}}{kind_of_value}")
         unit = declared.get("unit")
-        if declared.tag == "Real" and unit is not None:
+        if declared.tag == "Real" and unit is not None and base_unit(unit) is not None:
             own.set("unit", unit)
             units.add(unit)
     return units
 
 
 def _add_units(root: ET.Element, units: set[str]) -> None:
+    if not units:
+        return
     definitions = ET.SubElement(root, f"{{{SSD}}}Units")
     for name in sorted(units):
-        unit = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name)
-        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", {base: str(exponent) for base, exponent in base_units(name).items()})
+        unit, base = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name), base_unit(name)
+        assert base is not None  # as _add_connectors has seen
+        ET.SubElement(unit, f"{{{SSC}}}BaseUnit", base.attributes)

@@ -1,40 +1,143 @@
-"""Units in Modelica's notation, such as N.m.s/rad or rad/(s2.J), as exponents of the SI base units and the radian."""
+"""Units in Modelica's notation, such as N.m.s/rad, kN or rad/(s2.J), in terms of the SI base units and the radian."""
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
 
-_SYMBOLS: dict[str, dict[str, int]] = {
-    "1": {},
-    **{base: {base: 1} for base in ("kg", "m", "s", "A", "rad")},
-    "N": {"kg": 1, "m": 1, "s": -2},
-    "J": {"kg": 1, "m": 2, "s": -2},
-    "V": {"kg": 1, "m": 2, "s": -3, "A": -1},
-    "Ohm": {"kg": 1, "m": 2, "s": -3, "A": -2},
-    "H": {"kg": 1, "m": 2, "s": -2, "A": -2},
+BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+"""Of FMI 2.0, in this order."""
+
+
+@dataclass(frozen=True, slots=True)
+class BaseUnit:
+    """A unit in base units: a value v of it is `factor` v + `offset` in the product of the bases' powers."""
+
+    powers: Mapping[str, int]
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """Return what the element BaseUnit of FMI and of SSP says, without what is its default there."""
+        numbers = {"factor": (self.factor, 1.0), "offset": (self.offset, 0.0)}
+        return {base: str(power) for base, power in self.powers.items()} | {
+            name: repr(value) for name, (value, default) in numbers.items() if value != default
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class _Quantity:
+    """`number` pi^`turns` times the product of the bases' powers."""
+
+    powers: tuple[int, ...] = (0,) * len(BASES)
+    number: Fraction = Fraction(1)
+    turns: int = 0
+
+    def times(self, other: _Quantity, power: int) -> _Quantity:
+        """Return this times the power of another."""
+        powers = tuple(a + power * b for a, b in zip(self.powers, other.powers, strict=True))
+        return _Quantity(powers, self.number * other.number**power, self.turns + power * other.turns)
+
+
+def _si(number: Fraction | int = 1, turns: int = 0, **powers: int) -> _Quantity:
+    return _Quantity(tuple(powers.get(base, 0) for base in BASES), Fraction(number), turns)
+
+
+_PREFIXED = {
+    **{base: _si(**{base: 1}) for base in BASES if base != "kg"},
+    "g": _si(Fraction(1, 1000), kg=1),
+    "Hz": _si(s=-1),
+    "N": _si(kg=1, m=1, s=-2),
+    "Pa": _si(kg=1, m=-1, s=-2),
+    "bar": _si(100_000, kg=1, m=-1, s=-2),
+    "J": _si(kg=1, m=2, s=-2),
+    "W": _si(kg=1, m=2, s=-3),
+    "C": _si(A=1, s=1),
+    "V": _si(kg=1, m=2, s=-3, A=-1),
+    "F": _si(kg=-1, m=-2, s=4, A=2),
+    "Ohm": _si(kg=1, m=2, s=-3, A=-2),
+    "S": _si(kg=-1, m=-2, s=3, A=2),
+    "Wb": _si(kg=1, m=2, s=-2, A=-1),
+    "T": _si(kg=1, s=-2, A=-1),
+    "H": _si(kg=1, m=2, s=-2, A=-2),
+    "sr": _si(rad=2),
+    "lm": _si(cd=1, rad=2),
+    "lx": _si(cd=1, rad=2, m=-2),
+    "Bq": _si(s=-1),
+    "Gy": _si(m=2, s=-2),
+    "Sv": _si(m=2, s=-2),
+    "kat": _si(mol=1, s=-1),
+    "l": _si(Fraction(1, 1000), m=3),
+    "L": _si(Fraction(1, 1000), m=3),
+}
+"""Units that may have a prefix."""
+
+_SYMBOLS = _PREFIXED | {
+    "1": _si(),
+    "%": _si(Fraction(1, 100)),
+    "min": _si(60, s=1),
+    "h": _si(3600, s=1),
+    "d": _si(86400, s=1),
+    "t": _si(1000, kg=1),
+    "deg": _si(Fraction(1, 180), 1, rad=1),
+    "rev": _si(2, 1, rad=1),
+    "rpm": _si(Fraction(1, 30), 1, rad=1, s=-1),
+}
+"""All units; none of those without a prefix reads as another with one: "ft" is no femtotonne."""
+
+_POWERS_OF_TEN = dict(zip("yzafpnumcdhkMGTPEZY", (*range(-24, 0, 3), -2, -1, 2, *range(3, 25, 3)), strict=True)) | {
+    "da": 1
 }
 
-_FACTOR = r"(?:[A-Za-z]+[2-9]?|1)"
+_OFFSETS = {
+    "degC": BaseUnit({"K": 1}, 1.0, 273.15),
+    "degF": BaseUnit({"K": 1}, float(Fraction(5, 9)), float(Fraction(45967, 180))),
+}
+"""Temperatures: they are points on a scale, not factors of other units."""
+
+_SYMBOL = r"(?:[A-Za-z]+|%)"
+_FACTOR = rf"(?:{_SYMBOL}(?:[+-]?[0-9]{{1,2}})?|1)"
 _PRODUCT = rf"{_FACTOR}(?:\.{_FACTOR})*"
 
 DISPLAY = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 / 3.141592653589793)}
 """Units for people: name and factor."""
 
 
-def base_units(unit: str) -> dict[str, int]:
-    """Return the exponents of kg, m, s, A and rad in `unit`, in this order, without zeros; all factors are 1.
+def base_unit(unit: str) -> BaseUnit | None:
+    """Return the base units of `unit`, None where they are not known: any other unit is a name and nothing more.
 
-    A unit is factors joined by dots, each with an exponent behind it, over at most one denominator, which is one factor or
-    several in parentheses. Raises ValueError for anything else.
+    A unit is factors joined by dots, each a symbol with a prefix before and an exponent behind it, over at most one
+    denominator, which is one factor or several in parentheses.
     """
+    if unit in _OFFSETS:
+        return _OFFSETS[unit]
     match = re.fullmatch(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?", unit)
     if match is None:
-        raise ValueError(f"a unit must be in Modelica's notation, found {unit!r}")
-    total: dict[str, int] = dict.fromkeys(("kg", "m", "s", "A", "rad"), 0)
+        return None
+    total = _si()
     for sign, factors in ((1, match[1]), (-1, match[2] or match[3] or "1")):
-        for symbol, exponent in re.findall(r"([A-Za-z]+|1)(\d?)", factors):
-            if symbol not in _SYMBOLS:
-                raise ValueError(f"a unit must be made of {', '.join(_SYMBOLS)}, found {unit!r}")
-            for base, power in _SYMBOLS[symbol].items():
-                total[base] += sign * power * int(exponent or 1)
-    return {base: power for base, power in total.items() if power}
+        for symbol, exponent in re.findall(rf"({_SYMBOL}|1)([+-]?\d*)", factors):
+            quantity = _symbol(symbol)
+            if quantity is None:
+                return None
+            total = total.times(quantity, sign * int(exponent or 1))
+    try:
+        factor = float(total.number) * math.pi**total.turns
+    except OverflowError:
+        return None
+    powers = {base: power for base, power in zip(BASES, total.powers, strict=True) if power}
+    return BaseUnit(powers, factor) if 0.0 < factor < math.inf else None
+
+
+def _symbol(symbol: str) -> _Quantity | None:
+    if symbol in _SYMBOLS:
+        return _SYMBOLS[symbol]
+    for length in (1, 2):
+        power, rest = _POWERS_OF_TEN.get(symbol[:length]), _PREFIXED.get(symbol[length:])
+        if power is not None and rest is not None:
+            return _si(Fraction(10) ** power).times(rest, 1)
+    return None

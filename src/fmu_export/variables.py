@@ -6,16 +6,20 @@ Standard library only: this module travels inside the Python FMUs.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
-from .errors import UserError
+from .errors import UserError, shown
 
 Value = float | int | bool
 Type = Literal["Real", "Integer", "Boolean", "Enumeration"]
 Causality = Literal["parameter", "input", "output", "local"]
 Variability = Literal["fixed", "tunable", "discrete", "continuous"]
+
+LONGEST_NAME = 200
+"""Characters in the name of a variable or of a unit, at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +31,10 @@ class Variable:
     `initial_dependencies` the parameters and inputs that it depends on in initialization.
     `fault_on_non_finite` marks an input whose NaN or infinity the unit itself turns into a fault; every other non-finite
     value is refused.
+
+    The name is any text on one line: FMI's flat names. So is the unit, "1" for none, in Modelica's notation where the SI
+    has it (`units.py`). `slot` is the name of the compiled variable that a shown one stands
+    for, where a unit's binary serves many interfaces; empty, it is the variable's own name.
     """
 
     name: str
@@ -42,14 +50,30 @@ class Variable:
     dependencies: tuple[str, ...] = ()
     initial_dependencies: tuple[str, ...] = ()
     fault_on_non_finite: bool = False
+    slot: str = ""
 
     def __post_init__(self) -> None:
-        if not self.name.isidentifier():
-            raise ValueError(f"variable name {self.name!r} is not a C identifier")
+        check_name(self.name, "variable's name")
+        check_name(self.unit, "unit")
         if (self.start is None) != self.calculated:
             raise ValueError(f"variable {self.name}: parameters and inputs have a start value, all others have none")
         if (self.type == "Enumeration") != bool(self.items):
             raise ValueError(f"variable {self.name}: items belong to an Enumeration, and it needs them")
+
+    @property
+    def compiled(self) -> str:
+        """The name of the compiled variable that this one stands for."""
+        return self.slot or self.name
+
+    def shown_as(self, name: str, description: str | None = None, unit: str | None = None) -> Variable:
+        """Return this compiled variable as one that is shown under another name, with a description and unit of its own."""
+        return replace(
+            self,
+            name=name,
+            slot=self.compiled,
+            description=self.description if description is None else description,
+            unit=self.unit if unit is None else unit,
+        )
 
     @property
     def calculated(self) -> bool:
@@ -117,7 +141,11 @@ class Interface:
     def __post_init__(self) -> None:
         by_name = {v.name: v for v in self.variables}
         if len(by_name) != len(self.variables):
-            raise UserError(f"{self.name}: variable names must be unique")
+            counts = Counter(v.name for v in self.variables)
+            twice = next(name for name, count in counts.items() if count > 1)
+            raise UserError(f"{self.name}: variable names must be unique, found {shown(twice)} more than once")
+        if self.step_parameter is not None and self.step_parameter not in by_name:
+            raise ValueError(f"{self.name}: there is no variable {self.step_parameter} to tell the step")
         object.__setattr__(self, "by_name", by_name)
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
@@ -128,6 +156,10 @@ class Interface:
     def calculated(self) -> tuple[Variable, ...]:
         """The outputs and local variables, in interface order: what a unit's `outputs()` returns."""
         return tuple(v for v in self.variables if v.calculated)
+
+    def default_step(self, start: Mapping[str, Value]) -> float:
+        """Return the step [s] that suits the unit with these start values."""
+        return self.step_size if self.step_parameter is None else float(start[self.step_parameter])
 
     def exposing(self, names: Collection[str]) -> Interface:
         """Return the interface with the outputs `names` only; the others become local variables, which tools leave alone.
@@ -146,6 +178,31 @@ class Interface:
             ),
         )
 
+    def showing(self, variables: Iterable[Variable], **fields: Any) -> Interface:
+        """Return the interface that shows only `variables`, made by `Variable.shown_as`, and has other `fields`.
+
+        Their dependencies, names of this compiled interface, become those shown; what is not shown never changes, and
+        nothing depends on it.
+        """
+        chosen = tuple(variables)
+        names = {v.compiled: v.name for v in chosen}
+
+        def translated(dependencies: Iterable[str]) -> tuple[str, ...]:
+            return tuple(names[name] for name in dependencies if name in names)
+
+        return replace(
+            self,
+            variables=tuple(
+                replace(
+                    v,
+                    dependencies=translated(v.dependencies),
+                    initial_dependencies=translated(v.initial_dependencies),
+                )
+                for v in chosen
+            ),
+            **fields,
+        )
+
     def start_values(self, changes: Mapping[str, Value | str] | None = None) -> dict[str, Value]:
         """Return every parameter's and input's start value with `changes` applied and checked.
 
@@ -159,6 +216,14 @@ class Interface:
             if not math.isfinite(values[name]):
                 raise UserError(f"the start value of {name} must be finite, found {value}")
         return values
+
+
+def check_name(name: str, what: str) -> None:
+    """Raise UserError for what cannot name anything in an FMU: it must be printable, on one line and not too long."""
+    if not 0 < len(name) <= LONGEST_NAME:
+        raise UserError(f"a {what} must have 1 to {LONGEST_NAME} characters, found {len(name)}: {shown(name)}")
+    if not name.isprintable() or name != name.strip():
+        raise UserError(f"a {what} must be printable characters without a space at either end, found {shown(name)}")
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

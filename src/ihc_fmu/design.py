@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
+from filing.files import write_file
 from fmu_export.errors import UserError, shown
-from fmu_export.files import write_file
 from fmu_export.reading import parse_json, read_text
 
 from .certificate import Certificate, CertificateError, certify

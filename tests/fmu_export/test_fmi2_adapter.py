@@ -292,9 +292,49 @@ DAMAGES = {
     "one number short": lambda data: data[:-8],
     "one byte more": lambda data: data + b"\0",
     "another beginning": lambda data: b"FMUstars" + data[8:],
-    "another format": lambda data: data[:8] + b"\2" + data[9:],
+    "another format": lambda data: data[:8] + b"\1" + data[9:],
     "another count": lambda data: data[:12] + b"\1\0\0\0" + data[16:],
     "GUID without an end": lambda data: data[:16] + b"x" * 64 + data[HEAD:],
+}
+
+
+def parts(data):
+    """Return what is before the names, and the names, each with a zero behind it."""
+    (count,) = struct.unpack_from("<I", data, 12)
+    return data[: HEAD + 8 * count], data[HEAD + 8 * count + 4 :]
+
+
+def with_names(data, names, size=None):
+    """Return start values with other names."""
+    return parts(data)[0] + struct.pack("<I", len(names) if size is None else size) + names
+
+
+def renamed(data, name):
+    """Return start values with another first name."""
+    return with_names(data, name + b"\0" + parts(data)[1].split(b"\0", 1)[1])
+
+
+DAMAGES |= {
+    "no names": lambda data: with_names(data, b""),
+    "names without an end": lambda data: with_names(data, parts(data)[1][:-1]),
+    "a name beyond the end": lambda data: with_names(data, parts(data)[1][:-1] + b"x"),
+    "a name too many": lambda data: renamed(data, b"a\0b"),
+    "a name too few": lambda data: with_names(data, parts(data)[1].split(b"\0", 1)[1]),
+    "more names than bytes": lambda data: with_names(data, parts(data)[1], len(parts(data)[1]) + 1),
+    "fewer names than bytes": lambda data: with_names(data, parts(data)[1], len(parts(data)[1]) - 1),
+    "no end of names": lambda data: with_names(data, parts(data)[1], 2**32 - 1),
+    "a name too long": lambda data: renamed(data, b"x" * 801),
+    "a line feed": lambda data: renamed(data, b"a\nb"),
+    "DEL": lambda data: renamed(data, b"a\x7f"),
+    "a control character of two bytes": lambda data: renamed(data, b"a\xc2\x85"),
+    "half a character": lambda data: renamed(data, b"a\xc3"),
+    "half a character of three bytes": lambda data: renamed(data, b"\xe2\x82"),
+    "the rest of a character": lambda data: renamed(data, b"\x9f"),
+    "an overlong zero": lambda data: renamed(data, b"\xc0\x80"),
+    "an overlong slash": lambda data: renamed(data, b"\xe0\x80\xaf"),
+    "a surrogate": lambda data: renamed(data, b"\xed\xa0\x80"),
+    "beyond Unicode": lambda data: renamed(data, b"\xf4\x90\x80\x80"),
+    "no lead byte": lambda data: renamed(data, b"\xf8\x88\x80\x80"),
 }
 
 
@@ -305,6 +345,15 @@ def test_damaged_start_values_are_refused(damage, name, elsewhere, native):
     file.write_bytes(DAMAGES[damage](file.read_bytes()))
     message = declined(native(name, location=folder.as_uri()))
     assert "this FMU's start values must be in its resources" in message
+
+
+@pytest.mark.parametrize("text", ["Stoß 50 %s \\ € 𝛿", "x" * 800, "\u00a0"])
+def test_messages_have_the_names_of_the_file(text, native, elsewhere):
+    folder = elsewhere(PLANT, "renamed")
+    data = (folder / "start_values.bin").read_bytes()
+    (folder / "start_values.bin").write_bytes(renamed(data, text.encode()))
+    instance = native(PLANT, location=folder.as_uri())
+    assert instance.refused(*instance.setting(voltage=NAN)) == f"{text} must be finite, found nan at t = 0 s"
 
 
 def test_start_values_of_the_other_unit_are_refused(native, elsewhere):

@@ -13,11 +13,14 @@ from hypothesis import strategies as st
 
 from fmu_export.errors import UserError
 from fmu_export.model_description import Capabilities, model_description
-from fmu_export.units import DISPLAY, base_units
+from fmu_export.origin import Origin
+from fmu_export.units import DISPLAY, base_unit
 from fmu_export.variables import Interface, Variable
 
 reproducible = settings(deadline=None, derandomize=True, database=None)
-CAPABILITIES = Capabilities(needs_execution_tool=True, generation_tool="a tool", version="1.2.3")
+CAPABILITIES = Capabilities(
+    "Everything", needs_execution_tool=True, generation_tool="a tool", origin=Origin(version="1.2.3")
+)
 
 
 def described(interface, start=None, **changes):
@@ -190,31 +193,6 @@ def test_dependencies_are_counted_from_one_in_the_order_of_the_variables():
     assert unknown.attrib == {"index": "4", "dependencies": "2 3", "dependenciesKind": "dependent dependent"}
 
 
-@pytest.mark.parametrize(
-    ("unit", "exponents"),
-    [
-        ("1", {}),
-        ("rad2/s3", {"rad": 2, "s": -3}),
-        ("V", {"kg": 1, "m": 2, "s": -3, "A": -1}),
-        ("V.s/rad", {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}),
-        ("N.m/V", {"s": 1, "A": 1}),
-        ("Ohm", {"kg": 1, "m": 2, "s": -3, "A": -2}),
-        ("H", {"kg": 1, "m": 2, "s": -2, "A": -2}),
-        ("rad/(s2.J)", {"kg": -1, "m": -2, "rad": 1}),
-        ("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
-        ("1/s2", {"s": -2}),
-    ],
-)
-def test_unit_is_exponents_of_base_units(unit, exponents):
-    assert base_units(unit) == exponents
-
-
-@pytest.mark.parametrize("unit", ["", "N.m/V.s", "m//s", "N/(m", "s-1", "furlong", "1/s^2", "N m"])
-def test_what_is_no_unit_is_refused(unit):
-    with pytest.raises(ValueError, match="a unit must be"):
-        base_units(unit)
-
-
 MODELICA = """algorithm and annotation block break class connect connector constant constrainedby der discrete each else
 elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for function if import
 impure in initial inner input loop model not operator or outer output package parameter partial protected public pure record
@@ -245,7 +223,24 @@ def test_every_real_has_a_unit_defined_with_its_exponents(name, fmus):
     assert set(units) == used
     for symbol, base in units.items():
         exponents = {key: getattr(base, key) for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
-        assert {key: power for key, power in exponents.items() if power} == base_units(symbol or "")
+        known = base_unit(symbol or "")
+        assert known is not None
+        assert base is not None
+        assert {key: power for key, power in exponents.items() if power} == known.powers
+        assert (base.factor, base.offset) == (known.factor, known.offset) == (1.0, 0.0)
+
+
+def test_units_of_any_kind_are_declared():
+    units = ["mV", "furlong", "degC", "%", 'a "<unit>"']
+    root = described(thing(*[Variable(f"y_{i}", "output", "", unit) for i, unit in enumerate(units)]))
+    bases = {unit.get("name"): unit.find("BaseUnit") for unit in root.iterfind("UnitDefinitions/Unit")}
+    assert {name: None if base is None else base.attrib for name, base in bases.items()} == {
+        "mV": {"kg": "1", "m": "2", "s": "-3", "A": "-1", "factor": "0.001"},
+        "furlong": None,
+        "degC": {"K": "1", "offset": "273.15"},
+        "%": {"factor": "0.01"},
+        'a "<unit>"': None,
+    }
 
 
 def test_angles_are_displayed_in_degrees(name, fmus):
@@ -312,8 +307,3 @@ def test_capabilities_appear_where_fmi_wants_them():
     assert (root.get("generationTool"), root.get("version"), root.get("guid")) == ("a tool", "1.2.3", "{guid}")
     (slave,) = root.iterfind("CoSimulation")
     assert slave.get("needsExecutionTool") == "true"
-
-
-def test_variable_with_an_undefined_unit_is_refused():
-    with pytest.raises(ValueError, match="furlong"):
-        described(thing(Variable("x", "input", "", "furlong", start=0.0)))

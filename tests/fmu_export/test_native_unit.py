@@ -45,6 +45,7 @@ INTERFACE = Interface(
         parameter("open_now", True, "tunable", type="Boolean"),
         parameter("cells_1", 7, type="Integer", min=1, max=60),
         parameter("cells_2", 8, type="Integer", min=-3),
+        *[parameter(f"T_{i}_{j}", 10.0 * i + j) for i in range(1, 3) for j in range(9, 12)],
     ),
     step_size=0.1,
     stop_time=1.0,
@@ -71,10 +72,11 @@ def entries(text):
 def test_table_has_an_entry_for_each_variable_in_the_order_of_references(unit):
     found = entries(variable_table(unit))
     assert list(found) == [v.name for v in INTERFACE.variables]
-    assert "enum { VARIABLE_COUNT = 16 };" in variable_table(unit)
+    assert "enum { VARIABLE_COUNT = 22 };" in variable_table(unit)
     header = unit.generated["fmu_model.h"]
-    assert '#define MODEL_IDENTIFIER "Tank"' in header
+    assert '#define UNIT_NAME "Tank"' in variable_table(unit)
     assert "#define FMI2_FUNCTION_PREFIX Tank_\n" in header
+    assert unit.headers("north_tank")["fmu_model.h"] == header.replace("Tank_", "north_tank_")
 
 
 @pytest.mark.parametrize(
@@ -91,8 +93,10 @@ def test_table_has_an_entry_for_each_variable_in_the_order_of_references(unit):
         ("alone_1", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, alone_1), -DBL_MAX, DBL_MAX"),
         ("valve", "FMU_INTEGER, FMU_TUNABLE, 0, offsetof(tank_params, valve), 1.0, 3.0"),
         ("open_now", "FMU_BOOLEAN, FMU_TUNABLE, 0, offsetof(tank_params, open_now), 0.0, 1.0"),
-        ("cells_1", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells_1), 1.0, 60.0"),
-        ("cells_2", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells_2), -3.0, DBL_MAX"),
+        ("cells_1", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells), 1.0, 60.0"),
+        ("cells_2", "FMU_INTEGER, FMU_FIXED, 0, offsetof(tank_params, cells) + 1 * sizeof(int), -3.0, DBL_MAX"),
+        ("T_1_9", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, T), -DBL_MAX, DBL_MAX"),
+        ("T_2_10", "FMU_REAL, FMU_FIXED, 0, offsetof(tank_params, T) + 4 * sizeof(double), -DBL_MAX, DBL_MAX"),
     ],
 )
 def test_entry_tells_type_role_place_and_limits(name, entry, unit):
@@ -108,12 +112,46 @@ def test_entry_tells_type_role_place_and_limits(name, entry, unit):
         ("tank_params", "M", "4 * sizeof(double)"),
         ("tank_params", "alone_1", "1 * sizeof(double)"),
         ("tank_params", "open_now", "1 * sizeof(int)"),
-        ("tank_params", "cells_2", "1 * sizeof(int)"),
+        ("tank_params", "cells", "2 * sizeof(int)"),
+        ("tank_params", "T", "6 * sizeof(double)"),
     ],
 )
 def test_table_asserts_the_size_of_each_field(struct, field, size, unit):
     assert f"[sizeof((({struct} *)0)->{field}) == {size} ? 1 : -1];" in variable_table(unit)
     assert variable_table(unit).count(f"->{field})") == 1
+
+
+def test_each_field_has_the_reference_of_its_first_variable(unit):
+    text = variable_table(unit).split("enum {\n")[1].split("};")[0]
+    found = dict(line.strip().rstrip(",").split(" = ") for line in text.splitlines())
+    assert {name: int(number) for name, number in found.items()} == {
+        **{f"VR_{name}": i for i, name in enumerate(("inflow", "level", "level_dot", "state", "area", "gain"))},
+        **{"VR_M": 7, "VR_alone_1": 11, "VR_valve": 12, "VR_open_now": 13, "VR_cells": 14, "VR_T": 16},
+    }
+
+
+@pytest.mark.parametrize(
+    "names",
+    [("k_1", "other", "k_2"), ("k_2", "k_1"), ("k_1_1", "k_2"), ("k_1", "k_1_1"), ("k_1", "k_01")],
+    ids=" ".join,
+)
+def test_entries_of_an_array_follow_each_other(names, tmp_path):
+    table = replace(INTERFACE, variables=tuple(map(parameter, names)))
+    with pytest.raises(ValueError, match="must be neighbouring entries of one array k, by rows"):
+        variable_table(NativeUnit(table, dict, tmp_path, "tank", "tank"))
+
+
+@pytest.mark.parametrize("last", [parameter("k_2", 1, type="Integer"), Variable("k_2", "input", "", start=0.0)])
+def test_entries_of_an_array_are_of_one_type_in_one_struct(last, tmp_path):
+    table = replace(INTERFACE, variables=(parameter("k_1"), last))
+    with pytest.raises(ValueError, match="k_1 and k_2 must be neighbouring entries of one array k"):
+        variable_table(NativeUnit(table, dict, tmp_path, "tank", "tank"))
+
+
+@pytest.mark.parametrize("name", ["a.b", "2x", "größe", "a b"])
+def test_compiled_variables_have_names_of_c(name, tmp_path):
+    with pytest.raises(ValueError, match=f"variable name '{name}' is not a C identifier"):
+        NativeUnit(replace(INTERFACE, variables=(parameter(name),)), dict, tmp_path, "tank", "tank")
 
 
 def test_states_and_derivatives_are_value_references(unit):
@@ -153,43 +191,58 @@ def test_initializer_names_parameters_and_groups_arrays(unit):
     start = START | {"area": math.nextafter(2.0, 3.0), "gain_2": -1e-300, "open_now": False, "valve": 3}
     assert struct_initializer(unit, start) == (
         "{.area = 2.0000000000000004, .gain = {0.1, -1e-300}, .M = {1.0, 2.0, 3.0, 4.0}, .alone_1 = 5.0, .valve = 3, "
-        ".open_now = 0, .cells_1 = 7, .cells_2 = 8}"
+        ".open_now = 0, .cells = {7, 8}, .T = {19.0, 20.0, 21.0, 29.0, 30.0, 31.0}}"
     )
 
 
 NUMBERS = [0.0, 0.0, 0.0, 0.0, 2.0, 0.1, -3.0, 1.0, 2.0, 3.0, 4.0, 5.0, 2.0, 1.0, 7.0, 8.0]
+NUMBERS += [19.0, 20.0, 21.0, 29.0, 30.0, 31.0]
 """START as numbers in the order of the references; outputs are 0."""
+NAMES = {"inflow": 'Zufluß "50 %" \\n', "level": "level", "gain_2": "*/ ??/"}
 
 
-def test_start_value_file_is_a_head_the_guid_and_one_number_for_each_variable():
-    data = start_value_file(INTERFACE, "{abc}", START)
+def test_start_value_file_is_a_head_the_guid_a_number_and_a_name_for_each_variable():
+    data, count = start_value_file(INTERFACE, "{abc}", START, NAMES), len(NUMBERS)
     assert data[:8] == b"FMUstart"
-    assert struct.unpack_from("<II", data, 8) == (1, len(INTERFACE.variables))
+    assert struct.unpack_from("<II", data, 8) == (2, count)
     assert data[16 : 16 + GUID_SIZE] == b"{abc}" + bytes(GUID_SIZE - 5)
-    assert list(struct.unpack("<16d", data[16 + GUID_SIZE :])) == NUMBERS
+    numbers, texts = data[16 + GUID_SIZE :][: 8 * count], data[16 + GUID_SIZE + 8 * count :]
+    assert list(struct.unpack(f"<{count}d", numbers)) == NUMBERS
+    assert struct.unpack_from("<I", texts) == (len(texts) - 4,)
+    assert texts[4:].decode().split("\0") == [NAMES.get(v.name, "") for v in INTERFACE.variables] + [""]
 
 
 def test_guid_must_leave_room_for_its_end():
     longest = "g" * (GUID_SIZE - 1)
-    assert start_value_file(INTERFACE, longest, START)[16:80] == longest.encode() + b"\0"
+    assert start_value_file(INTERFACE, longest, START, NAMES)[16:80] == longest.encode() + b"\0"
     with pytest.raises(ValueError, match="shorter than 64 characters"):
-        start_value_file(INTERFACE, longest + "g", START)
+        start_value_file(INTERFACE, longest + "g", START, NAMES)
 
 
 @pytest.mark.parametrize("value", [0.1, -1e-300, 1.7976931348623157e308, 5e-324, 1 / 3])
 def test_source_and_file_hold_the_same_numbers_to_the_last_bit(value):
     start = START | {"area": value}
-    text = start_value_source(INTERFACE, "{abc}", start)
+    text = start_value_source(INTERFACE, "{abc}", start, NAMES)
     lines = text.split("START[] = {\n")[1].split("\n};")[0].splitlines()
     numbers = [line.split(", /* ")[0].strip() for line in lines]
     names = [line.split(", /* ")[1].removesuffix(" */") for line in lines]
     assert names == [v.name for v in INTERFACE.variables]
-    assert struct.pack("<16d", *map(float, numbers)) == start_value_file(INTERFACE, "{abc}", start)[16 + GUID_SIZE :]
-    assert 'snprintf(guid, FMU_GUID_SIZE, "{abc}");' in text
+    data = start_value_file(INTERFACE, "{abc}", start, NAMES)[16 + GUID_SIZE :]
+    assert struct.pack(f"<{len(numbers)}d", *map(float, numbers)) == data[: 8 * len(numbers)]
+    assert 'snprintf(start->guid, FMU_GUID_SIZE, "{abc}");' in text
+
+
+def test_names_in_the_source_are_plain_literals():
+    text = start_value_source(INTERFACE, "g", START, NAMES)
+    texts = text.split("NAMES[] = {\n")[1].split("\n};")[0].splitlines()
+    expected = ["NULL"] * len(texts)
+    expected[:2] = r'"Zuflu\303\237 \04250 %\042 \134n"', '"level"'
+    expected[6] = r'"*/ \077\077/"'
+    assert [line.strip().rstrip(",") for line in texts] == expected
+    assert text.isascii()
 
 
 def test_texts_are_the_same_every_time(unit):
     assert unit_files(unit) == unit_files(unit)
-    assert start_value_source(INTERFACE, "g", START) == start_value_source(
-        INTERFACE, "g", dict(reversed(START.items()))
-    )
+    backwards = dict(reversed(START.items())), dict(reversed(NAMES.items()))
+    assert start_value_source(INTERFACE, "g", START, NAMES) == start_value_source(INTERFACE, "g", *backwards)

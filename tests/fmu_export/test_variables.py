@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fmu_export.errors import UserError
 from fmu_export.variables import Interface, Variable, did_you_mean
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from plant_fmu.interface import INTERFACE as PLANT
@@ -99,9 +100,11 @@ def test_input_whose_unit_handles_it_admits_non_finite_values(value):
 @pytest.mark.parametrize(
     ("changes", "rule"),
     [
-        ({"name": "a.b"}, "'a.b' is not a C identifier"),
-        ({"name": "2x"}, "'2x' is not a C identifier"),
-        ({"name": ""}, "'' is not a C identifier"),
+        ({"name": ""}, "must have 1 to 200 characters, found 0: ''"),
+        ({"name": "x" * 201}, "must have 1 to 200 characters, found 201"),
+        ({"name": "a\nb"}, r"must be printable characters .* found 'a\\nb'"),
+        ({"name": "a\x85b"}, "must be printable characters"),
+        ({"name": " a"}, "without a space at either end, found ' a'"),
         ({"start": None}, "parameters and inputs have a start value"),
         ({"causality": "output"}, "parameters and inputs have a start value"),
         ({"type": "Enumeration"}, "items belong to an Enumeration"),
@@ -123,8 +126,33 @@ def interface(*variables):
 
 
 def test_two_variables_of_one_name_are_refused():
-    with pytest.raises(ValueError, match="Thing: variable names must be unique"):
+    with pytest.raises(UserError, match="Thing: variable names must be unique, found 'gap' more than once"):
         interface(REAL, INTEGER, REAL)
+
+
+@pytest.mark.parametrize("name", ["a.b", "2x", "x" * 200, "Stoß %s", 'the "tip" <m/s>', "der(x)", "\\"])
+def test_name_is_any_text_on_one_line(name):
+    assert interface(replace(REAL, name=name)).start_values({name: 2.0}) == {name: 2.0}
+
+
+def test_what_is_shown_keeps_its_nature_and_depends_on_what_is_shown():
+    level = Variable("level_1", "output", "of tank 1", initial_dependencies=("gap", "count"), dependencies=("flow_1",))
+    table = interface(REAL, INTEGER, Variable("flow_1", "input", "in", start=0.0), level)
+    shown = table.showing(
+        [table.by_name["level_1"].shown_as("h [m]", unit="m"), REAL.shown_as("slit", "of the valve")], name="Tank"
+    )
+    assert (shown.name, shown.step_size) == ("Tank", table.step_size)
+    height, slit = shown.variables
+    assert (height.name, height.slot, height.unit, height.description) == ("h [m]", "level_1", "m", "of tank 1")
+    assert (height.initial_dependencies, height.dependencies) == (("slit",), ())
+    assert (slit.compiled, slit.description, slit.limits()) == ("gap", "of the valve", (0.5, 10.0))
+    assert shown.start_values() == {"slit": 1.0}
+    assert slit.shown_as("gap width").compiled == "gap"
+
+
+def test_step_is_told_by_a_variable_that_there_is():
+    with pytest.raises(ValueError, match="there is no variable period to tell the step"):
+        replace(interface(REAL), step_parameter="period")
 
 
 def test_start_values_are_those_of_the_table_with_checked_changes():

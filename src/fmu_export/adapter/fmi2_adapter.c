@@ -93,11 +93,11 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
         return NULL;
     }
     if (fmuType != fmi2CoSimulation && fmuType != fmi2ModelExchange) {
-        fmu_say(&early, fmi2Error, "%s has no kind %d", fmu_the_unit.model_identifier, (int)fmuType);
+        fmu_say(&early, fmi2Error, "%s has no kind %d", fmu_the_unit.name, (int)fmuType);
         return NULL;
     }
     if (fmuType == fmi2ModelExchange && fmu_the_unit.continuous == NULL) {
-        fmu_say(&early, fmi2Error, "%s is not for model exchange", fmu_the_unit.model_identifier);
+        fmu_say(&early, fmi2Error, "%s is not for model exchange", fmu_the_unit.name);
         return NULL;
     }
     fmu_instance *m = fmu_create(&fmu_the_unit, instanceName, fmuResourceLocation, problem, sizeof problem);
@@ -110,8 +110,8 @@ fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2Str
     m->kind = fmuType;
     m->log_errors = 1;
     m->log_warnings = loggingOn;
-    if (fmuGUID == NULL || strcmp(fmuGUID, m->guid) != 0) {
-        fmu_say(m, fmi2Error, "the GUID must be %s as in this FMU's modelDescription.xml, found %s", m->guid,
+    if (fmuGUID == NULL || strcmp(fmuGUID, m->start.guid) != 0) {
+        fmu_say(m, fmi2Error, "the GUID must be %s as in this FMU's modelDescription.xml, found %s", m->start.guid,
                 fmuGUID == NULL ? "none" : fmuGUID);
         fmu_destroy(m);
         return NULL;
@@ -405,7 +405,7 @@ static fmi2Status seed(const fmu_instance *m, const fmi2ValueReference known[], 
                        double dx[FMU_MOST_STATES], room *dinputs)
 {
     for (size_t i = 0; i < count; i++) {
-        const fmu_variable *v = known[i] < m->unit->variable_count ? &m->unit->variables[known[i]] : NULL;
+        const fmu_variable *v = fmu_find(m, known[i]);
         const int state = fmu_state_index(m, known[i]);
         if (state >= 0) {
             dx[state] += seeds[i];
@@ -416,7 +416,7 @@ static fmi2Status seed(const fmu_instance *m, const fmi2ValueReference known[], 
             memcpy(dinputs->bytes + v->offset, &sum, sizeof sum);
         } else {
             return fmu_say(m, fmi2Error, "there is no derivative with respect to %s",
-                           v == NULL ? "a value reference that does not exist" : v->name);
+                           v == NULL ? "a value reference that does not exist" : m->names[known[i]]);
         }
     }
     return fmi2OK;
@@ -436,7 +436,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
         return fmi2Error;
     }
     if (m->unit->continuous == NULL) {
-        return fmu_say(m, fmi2Error, "%s has no directional derivatives", m->unit->model_identifier);
+        return fmu_say(m, fmi2Error, "%s has no directional derivatives", m->unit->name);
     }
     memset(&dinputs, 0, sizeof dinputs);
     fmi2Status status = seed(m, vKnown_ref, nKnown, dvKnown, dx, &dinputs);
@@ -449,11 +449,10 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
         return status;
     }
     for (size_t i = 0; i < nUnknown; i++) {
-        const fmu_variable *v =
-            vUnknown_ref[i] < m->unit->variable_count ? &m->unit->variables[vUnknown_ref[i]] : NULL;
+        const fmu_variable *v = fmu_find(m, vUnknown_ref[i]);
         if (v == NULL || v->role != FMU_OUTPUT || v->type != FMU_REAL) {
             return fmu_say(m, fmi2Error, "there is no derivative of %s",
-                           v == NULL ? "a value reference that does not exist" : v->name);
+                           v == NULL ? "a value reference that does not exist" : m->names[vUnknown_ref[i]]);
         }
     }
     m->unit->continuous->tangent(m->parameters, m->prepared, m->state, m->inputs, dx, &dinputs, &doutputs);
@@ -651,7 +650,7 @@ fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n
     for (size_t i = 0; i < nx; i++) {
         if (!isfinite(x[i])) {
             fmu_say(m, fmi2Discard, "%s must be finite, found %g at t = %.9g s",
-                    m->unit->variables[m->unit->continuous->states[i]].name, x[i], m->progress.time);
+                    m->names[m->unit->continuous->states[i]], x[i], m->progress.time);
             return fmi2Discard; /* a solver may try a shorter step */
         }
     }

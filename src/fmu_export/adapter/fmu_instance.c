@@ -17,7 +17,7 @@ enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 2 };
 #define FMU_SELDOM
 #endif
 
-static const unsigned long SNAPSHOT_MAGIC = 0x51554245ul; /* "QUBE" */
+static const unsigned long SNAPSHOT_MAGIC = 0x464D5573ul; /* "FMUs" */
 static const double TIME_TOLERANCE = 1e-6;                /* of a step, between the end of one and the start of the next */
 
 static const char *const TYPE_NAMES[] = {"Real", "Integer", "Boolean"};
@@ -70,8 +70,9 @@ static void list_inputs(const fmu_instance *m, char *text, size_t size)
     size_t length = strlen(text);
     for (size_t i = 0; i < m->unit->variable_count && length < size; i++) {
         const fmu_variable *v = &m->unit->variables[i];
-        if (v->role == FMU_INPUT && v->type == FMU_REAL) {
-            const int written = snprintf(text + length, size - length, ", %s = %.9g", v->name, *(const double *)m->where[i]);
+        if (v->role == FMU_INPUT && m->of_type[FMU_REAL][i] != NULL) {
+            const int written =
+                snprintf(text + length, size - length, ", %s = %.9g", m->names[i], *(const double *)m->where[i]);
             length += written > 0 ? (size_t)written : 0;
         }
     }
@@ -82,7 +83,7 @@ FMU_SELDOM static fmi2Status explain(const fmu_instance *m, int status, double t
 {
     char text[MESSAGE_SIZE] = "";
     const fmu_severity severity =
-        m->unit->explain(status, m->parameters, m->state, m->inputs, step, text, sizeof text);
+        m->unit->explain(status, m->names, m->parameters, m->state, m->inputs, step, text, sizeof text);
     if (severity == FMU_WARNING) {
         fmu_say(m, fmi2Warning, "t = %.9g s: %s", time, text);
         return fmi2OK;
@@ -115,9 +116,12 @@ static int allocate(fmu_instance *m)
     }
     m->block = calloc(1, m->block_size);
     m->spare = calloc(1, m->block_size);
-    m->start = calloc(u->variable_count, sizeof *m->start);
+    m->start.values = calloc(u->variable_count, sizeof *m->start.values);
+    m->start.names = calloc(u->variable_count, sizeof *m->start.names);
+    m->names = calloc(u->variable_count, sizeof *m->names);
     m->where = calloc(5 * u->variable_count, sizeof *m->where);
-    if (m->block == NULL || m->spare == NULL || m->start == NULL || m->where == NULL) {
+    if (m->block == NULL || m->spare == NULL || m->start.values == NULL || m->start.names == NULL || m->names == NULL
+        || m->where == NULL) {
         return 0;
     }
     for (int type = 0; type < 3; type++) {
@@ -128,15 +132,25 @@ static int allocate(fmu_instance *m)
         *parts[i] = m->block + offset;
         offset += aligned(sizes[i]);
     }
+    return 1;
+}
+
+/* Have callers find the variables that are shown. */
+static void show(fmu_instance *m)
+{
+    const fmu_unit *u = m->unit;
     for (size_t i = 0; i < u->variable_count; i++) {
         const fmu_variable *v = &u->variables[i];
         m->where[i] = (unsigned char *)struct_of(m, v->role) + v->offset;
+        m->names[i] = m->start.names[i] == NULL ? v->name : m->start.names[i];
+        if (m->start.names[i] == NULL) {
+            continue;
+        }
         m->of_type[v->type][i] = m->where[i];
         if (v->type == FMU_REAL && v->role == FMU_INPUT && v->min == -DBL_MAX && v->max == DBL_MAX) {
             m->plain[i] = m->where[i];
         }
     }
-    return 1;
 }
 
 void fmu_set_start(fmu_instance *m)
@@ -150,9 +164,9 @@ void fmu_set_start(fmu_instance *m)
             continue;
         }
         if (v->type == FMU_REAL) {
-            *(double *)m->where[i] = m->start[i];
+            *(double *)m->where[i] = m->start.values[i];
         } else {
-            *(int *)m->where[i] = (int)m->start[i];
+            *(int *)m->where[i] = (int)m->start.values[i];
         }
     }
 }
@@ -179,7 +193,7 @@ fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *res
                          size_t problem_size)
 {
     fmu_instance *m = calloc(1, sizeof *m);
-    snprintf(problem, problem_size, "no memory for an instance of %s", unit->model_identifier);
+    snprintf(problem, problem_size, "no memory for an instance of %s", unit->name);
     if (m == NULL) {
         return NULL;
     }
@@ -190,15 +204,16 @@ fmu_instance *fmu_create(const fmu_unit *unit, const char *name, const char *res
         return NULL;
     }
     memcpy(m->name, name, strlen(name));
-    if (fmu_load_start_values(resource_location, m->guid, m->start, unit->variable_count, problem, problem_size) != 0) {
+    if (fmu_load_start_values(resource_location, &m->start, unit->variable_count, problem, problem_size) != 0) {
         fmu_destroy(m);
         return NULL;
     }
+    show(m);
     for (size_t i = 0; i < unit->variable_count; i++) {
         const fmu_variable *v = &unit->variables[i];
-        if (v->role != FMU_OUTPUT && !is_start_value(v, m->start[i])) {
-            snprintf(problem, problem_size, "the start value of %s must be a%s in [%g, %g], found %.17g", v->name,
-                     v->type == FMU_REAL ? " number" : "n integer", bound(v->min), bound(v->max), m->start[i]);
+        if (v->role != FMU_OUTPUT && !is_start_value(v, m->start.values[i])) {
+            snprintf(problem, problem_size, "the start value of %s must be a%s in [%g, %g], found %.17g", m->names[i],
+                     v->type == FMU_REAL ? " number" : "n integer", bound(v->min), bound(v->max), m->start.values[i]);
             fmu_destroy(m);
             return NULL;
         }
@@ -213,7 +228,10 @@ void fmu_destroy(fmu_instance *m)
         free(m->name);
         free(m->block);
         free(m->spare);
-        free(m->start);
+        free(m->start.values);
+        free(m->start.names);
+        free(m->start.texts);
+        free(m->names);
         free(m->where);
         free(m);
     }
@@ -264,6 +282,11 @@ fmi2Status fmu_initialize(fmu_instance *m)
     return fmi2OK;
 }
 
+const fmu_variable *fmu_find(const fmu_instance *m, fmi2ValueReference vr)
+{
+    return vr < m->unit->variable_count && m->start.names[vr] != NULL ? &m->unit->variables[vr] : NULL;
+}
+
 int fmu_state_index(const fmu_instance *m, fmi2ValueReference vr)
 {
     for (size_t i = 0; m->kind == fmi2ModelExchange && i < m->states; i++) {
@@ -312,10 +335,11 @@ FMU_SELDOM static fmi2Status refresh(fmu_instance *m, const fmi2ValueReference *
 {
     const fmu_phase phase = m->progress.phase;
     for (size_t i = 0; i < count; i++) {
-        if (vr[i] < m->unit->variable_count && m->unit->variables[vr[i]].role == FMU_OUTPUT) {
+        const fmu_variable *v = fmu_find(m, vr[i]);
+        if (v != NULL && v->role == FMU_OUTPUT) {
             if (phase == FMU_INSTANTIATED) {
                 return fmu_say(m, fmi2Error, "outputs are defined from initialization on, asked for %s before it",
-                               m->unit->variables[vr[i]].name);
+                               m->names[vr[i]]);
             }
             return phase == FMU_INITIALIZATION ? fmu_initialize(m) : fmu_observe(m, "get");
         }
@@ -376,20 +400,21 @@ static int is_free_state(const fmu_instance *m, fmi2ValueReference vr)
 static int admissible(const fmu_instance *m, fmi2ValueReference vr, double value)
 {
     const fmu_variable *v = &m->unit->variables[vr];
+    const char *name = m->names[vr];
     if (v->role == FMU_OUTPUT && !is_free_state(m, vr)) {
-        fmu_say(m, fmi2Error, "%s is an output and cannot be set", v->name);
+        fmu_say(m, fmi2Error, "%s is an output and cannot be set", name);
         return 0;
     }
     if (v->role != FMU_OUTPUT && !settable(m, v)) {
-        fmu_say(m, fmi2Error, "%s is a %s parameter, which cannot be set in this state", v->name,
+        fmu_say(m, fmi2Error, "%s is a %s parameter, which cannot be set in this state", name,
                 v->role == FMU_FIXED ? "fixed" : "tunable");
         return 0;
     }
     if (!in_range(v, value)) {
         if (isfinite(value)) {
-            fmu_say(m, fmi2Error, "%s must lie in [%g, %g], found %g", v->name, bound(v->min), bound(v->max), value);
+            fmu_say(m, fmi2Error, "%s must lie in [%g, %g], found %g", name, bound(v->min), bound(v->max), value);
         } else {
-            fmu_say(m, fmi2Error, "%s must be finite, found %g at t = %.9g s", v->name, value, m->progress.time);
+            fmu_say(m, fmi2Error, "%s must be finite, found %g at t = %.9g s", name, value, m->progress.time);
         }
         return 0;
     }
@@ -489,7 +514,7 @@ fmu_snapshot *fmu_save(const fmu_instance *m)
     s->magic = SNAPSHOT_MAGIC;
     s->block_size = m->block_size;
     s->kind = m->kind;
-    memcpy(s->guid, m->guid, sizeof s->guid);
+    memcpy(s->guid, m->start.guid, sizeof s->guid);
     s->progress = m->progress;
     memcpy(s->block, m->block, m->block_size);
     return s;
@@ -498,7 +523,7 @@ fmu_snapshot *fmu_save(const fmu_instance *m)
 int fmu_is_snapshot(const fmu_instance *m, const fmu_snapshot *s)
 {
     return s != NULL && s->magic == SNAPSHOT_MAGIC && s->block_size == m->block_size && s->kind == m->kind
-        && memcmp(s->guid, m->guid, sizeof s->guid) == 0;
+        && memcmp(s->guid, m->start.guid, sizeof s->guid) == 0;
 }
 
 void fmu_free_snapshot(fmu_snapshot *s)
@@ -533,8 +558,8 @@ static header header_for(const fmu_instance *m)
     h.format = STATE_FORMAT;
     h.kind = (uint32_t)m->kind;
     h.size = fmu_serialized_size(m);
-    snprintf(h.model, sizeof h.model, "%s", m->unit->model_identifier);
-    memcpy(h.guid, m->guid, sizeof h.guid);
+    snprintf(h.model, sizeof h.model, "%s", m->unit->name);
+    memcpy(h.guid, m->start.guid, sizeof h.guid);
     return h;
 }
 
@@ -591,7 +616,7 @@ fmu_snapshot *fmu_deserialize(const fmu_instance *m, const unsigned char *bytes,
     const uint64_t found = h.checksum;
     h.checksum = 0;
     if (memcmp(&h, &expected, sizeof h) != 0) {
-        fmu_say(m, fmi2Error, "the bytes are no state of this FMU with GUID %s", m->guid);
+        fmu_say(m, fmi2Error, "the bytes are no state of this FMU with GUID %s", m->start.guid);
         return NULL;
     }
     const unsigned char *body = bytes + sizeof h;

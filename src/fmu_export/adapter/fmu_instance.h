@@ -35,15 +35,15 @@ typedef struct {
     fmi2CallbackLogger logger;
     fmi2ComponentEnvironment environment;
     int log_errors, log_warnings;
-    char guid[FMU_GUID_SIZE];
-    double *start; /* start values of all variables */
+    fmu_start start;
+    const char **names; /* of all variables, as they are shown; of those that are not, as compiled */
     fmu_progress progress;
     size_t block_size;
     unsigned char *block; /* parameters, inputs, outputs, prepared, state */
     void *parameters, *inputs, *outputs, *prepared, *state;
     unsigned char *spare; /* room for the block up to the state, before a change */
     void **where;      /* address of each variable */
-    void **of_type[3]; /* the same of one fmu_type, NULL for variables of another */
+    void **of_type[3]; /* the same of those of one fmu_type that are shown, NULL for others */
     void **plain;      /* the same of real inputs without bounds */
     size_t states; /* continuous states in model exchange */
 } fmu_instance;
@@ -79,6 +79,9 @@ fmi2Status fmu_initialize(fmu_instance *m);
 
 /* Advance by `step` [s]. */
 fmi2Status fmu_advance(fmu_instance *m, double time, double step);
+
+/* The variable with a value reference; NULL where none is shown. */
+const fmu_variable *fmu_find(const fmu_instance *m, fmi2ValueReference vr);
 
 /* Index of the continuous state with a value reference in model exchange, or -1. */
 int fmu_state_index(const fmu_instance *m, fmi2ValueReference vr);

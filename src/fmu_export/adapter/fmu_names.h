@@ -19,6 +19,7 @@
 #define fmu_say FMU_NAMED(fmu_say)
 #define fmu_initialize FMU_NAMED(fmu_initialize)
 #define fmu_advance FMU_NAMED(fmu_advance)
+#define fmu_find FMU_NAMED(fmu_find)
 #define fmu_state_index FMU_NAMED(fmu_state_index)
 #define fmu_observe FMU_NAMED(fmu_observe)
 #define fmu_copy FMU_NAMED(fmu_copy)

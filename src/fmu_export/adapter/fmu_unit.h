@@ -12,13 +12,13 @@
 #include "fmu_names.h"
 
 /* Limits of a unit; its generated table asserts them. */
-enum { FMU_MOST_STATES = 16, FMU_MOST_BYTES = 1024, FMU_GUID_SIZE = 64 };
+enum { FMU_MOST_STATES = 16, FMU_MOST_BYTES = 1024, FMU_GUID_SIZE = 64, FMU_NAME_SIZE = 801 };
 
 typedef enum { FMU_REAL, FMU_INTEGER, FMU_BOOLEAN } fmu_type; /* enumerations are integers */
 typedef enum { FMU_INPUT, FMU_OUTPUT, FMU_FIXED, FMU_TUNABLE } fmu_role; /* local variables count as outputs */
 typedef enum { FMU_WARNING, FMU_REFUSED } fmu_severity;
 
-/* A variable; its value reference is its index in the table. */
+/* A variable; its value reference is its index in the table. An FMU may show it under another name, or not at all. */
 typedef struct {
     const char *name;
     fmu_type type;
@@ -44,7 +44,7 @@ typedef struct {
 } fmu_continuous;
 
 typedef struct {
-    const char *model_identifier;
+    const char *name;
     const fmu_variable *variables;
     size_t variable_count;
     size_t parameters_size, inputs_size, outputs_size, prepared_size, state_size;
@@ -53,8 +53,9 @@ typedef struct {
     int (*step)(const void *parameters, const void *prepared, void *state, double time, double step, const void *inputs);
     void (*get_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
     int (*state_is_valid)(const void *state); /* whether a restored state can do no harm */
-    fmu_severity (*explain)(int status, const void *parameters, const void *state, const void *inputs, double step,
-                            char *text, size_t size);
+    /* Write a sentence on a status; `names` are those of the variables, by reference, as the FMU shows them. */
+    fmu_severity (*explain)(int status, const char *const *names, const void *parameters, const void *state,
+                            const void *inputs, double step, char *text, size_t size);
     const fmu_continuous *continuous; /* NULL: co-simulation only */
 } fmu_unit;
 
@@ -63,13 +64,21 @@ FMU_PRIVATE_BEGIN
 /* The unit, defined beside its functions. */
 extern const fmu_unit fmu_the_unit;
 
-/* Read the GUID and the start values of all variables, in the table's order; outputs have 0.
+/* What an FMU's file tells of its variables, in the table's order. */
+typedef struct {
+    char guid[FMU_GUID_SIZE];
+    double *values;     /* start values; outputs have 0 */
+    const char **names; /* under which the variables are shown; NULL for those that are not */
+    char *texts;        /* where the names are; NULL, or to be freed */
+} fmu_start;
+
+/* Read the GUID and, where there is room for `count` variables, their start values and names.
  *
  * One of two implementations is linked: that of prebuilt binaries reads the file start_values.bin in the FMU's resources
  * folder, that among an FMU's sources has the values compiled in. Returns 0, or -1 with a sentence in `problem`.
  */
-int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE], double *values, size_t count,
-                          char *problem, size_t problem_size);
+int fmu_load_start_values(const char *resource_location, fmu_start *start, size_t count, char *problem,
+                          size_t problem_size);
 
 FMU_PRIVATE_END
 

@@ -1,10 +1,12 @@
-/* Start values of a prebuilt binary: the file start_values.bin in the FMU's resources folder.
+/* Start values and names of a prebuilt binary: the file start_values.bin in the FMU's resources folder.
  *
- * Bytes, all numbers little-endian: "FMUstart", uint32 format 1, uint32 count, GUID in FMU_GUID_SIZE bytes padded by zeros,
- * count times an IEEE 754 double.
+ * Bytes, all numbers little-endian: "FMUstart", uint32 format 2, uint32 count, GUID in FMU_GUID_SIZE bytes padded by zeros,
+ * count times an IEEE 754 double, uint32 size, and in that many bytes count times a name in UTF-8 with a zero behind it,
+ * empty for a variable that is not shown.
  */
 #include <stdint.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "fmu_unit.h"
@@ -13,7 +15,7 @@
 #include <windows.h>
 #endif
 
-enum { PATH_SIZE = 4096, HEADER_SIZE = 16 + FMU_GUID_SIZE, FORMAT = 1 };
+enum { PATH_SIZE = 4096, HEADER_SIZE = 16 + FMU_GUID_SIZE, FORMAT = 2 };
 
 static int hexadecimal(char c)
 {
@@ -96,7 +98,68 @@ static uint64_t little_endian(const unsigned char *bytes, int count)
     return value;
 }
 
-static int parse(FILE *file, char guid[FMU_GUID_SIZE], double *values, size_t count)
+/* Length of the character of UTF-8 at `c`, which a zero byte ends at the latest; 0 for none, and for control characters. */
+static size_t character(const unsigned char *c)
+{
+    static const uint32_t least[] = {0x20, 0xA0, 0x800, 0x10000};
+    const size_t more = c[0] < 0x80u ? 0 : c[0] < 0xE0u ? 1 : c[0] < 0xF0u ? 2 : 3;
+    uint32_t code = more == 0 ? c[0] : c[0] & (0x3Fu >> more);
+    if (c[0] == 0x7Fu || (c[0] >= 0x80u && c[0] < 0xC2u) || c[0] > 0xF4u) {
+        return 0;
+    }
+    for (size_t i = 1; i <= more; i++) {
+        if ((c[i] & 0xC0u) != 0x80u) {
+            return 0;
+        }
+        code = code << 6 | (c[i] & 0x3Fu);
+    }
+    return code < least[more] || code > 0x10FFFFu || (code >= 0xD800u && code < 0xE000u) ? 0 : more + 1;
+}
+
+/* Take apart `size` bytes that end with a zero; 0 where they are not `count` names. */
+static int take_names(const char *texts, size_t size, const char **names, size_t count)
+{
+    size_t at = 0;
+    for (size_t i = 0; i < count; i++) {
+        const size_t begin = at;
+        if (at >= size) {
+            return 0;
+        }
+        while (texts[at] != '\0') {
+            const size_t length = character((const unsigned char *)texts + at);
+            if (length == 0) {
+                return 0;
+            }
+            at += length;
+        }
+        if (at - begin >= FMU_NAME_SIZE) {
+            return 0;
+        }
+        names[i] = at > begin ? texts + begin : NULL;
+        at++;
+    }
+    return at == size;
+}
+
+static int read_names(FILE *file, fmu_start *start, size_t count)
+{
+    unsigned char bytes[4];
+    if (fread(bytes, 1, sizeof bytes, file) != sizeof bytes) {
+        return 0;
+    }
+    const size_t size = (size_t)little_endian(bytes, 4);
+    if (size < count || size / FMU_NAME_SIZE > count) {
+        return 0;
+    }
+    start->texts = malloc(size + 1);
+    if (start->texts == NULL || fread(start->texts, 1, size, file) != size) {
+        return 0;
+    }
+    start->texts[size] = '\0'; /* no name runs beyond */
+    return start->texts[size - 1] == '\0' && take_names(start->texts, size, start->names, count);
+}
+
+static int parse(FILE *file, fmu_start *start, size_t count)
 {
     unsigned char head[HEADER_SIZE], number[8];
     if (fread(head, 1, sizeof head, file) != sizeof head || memcmp(head, "FMUstart", 8) != 0
@@ -104,19 +167,19 @@ static int parse(FILE *file, char guid[FMU_GUID_SIZE], double *values, size_t co
         || head[HEADER_SIZE - 1] != '\0') {
         return 0;
     }
-    memcpy(guid, head + 16, FMU_GUID_SIZE);
+    memcpy(start->guid, head + 16, FMU_GUID_SIZE);
     for (size_t i = 0; i < count; i++) {
         if (fread(number, 1, sizeof number, file) != sizeof number) {
             return 0;
         }
         const uint64_t bits = little_endian(number, 8);
-        memcpy(&values[i], &bits, sizeof bits);
+        memcpy(&start->values[i], &bits, sizeof bits);
     }
-    return fread(number, 1, 1, file) == 0;
+    return read_names(file, start, count) && fread(number, 1, 1, file) == 0;
 }
 
-int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE], double *values, size_t count,
-                          char *problem, size_t problem_size)
+int fmu_load_start_values(const char *resource_location, fmu_start *start, size_t count, char *problem,
+                          size_t problem_size)
 {
     char path[PATH_SIZE];
     if (resource_location == NULL || !file_path(resource_location, "start_values.bin", path)) {
@@ -129,7 +192,7 @@ int fmu_load_start_values(const char *resource_location, char guid[FMU_GUID_SIZE
         snprintf(problem, problem_size, "cannot read the FMU's resource %s", path);
         return -1;
     }
-    const int good = parse(file, guid, values, count);
+    const int good = parse(file, start, count);
     fclose(file);
     if (!good) {
         snprintf(problem, problem_size, "this FMU's start values must be in its resources, found another content of %s", path);

@@ -39,30 +39,30 @@ static int state_is_valid(const void *state)
     return 1;
 }
 
-static void explain_fault(const ihc_state *s, const ihc_inputs *u, char *text, size_t size)
+static void explain_fault(const char *const *names, const ihc_state *s, const ihc_inputs *u, char *text, size_t size)
 {
-    const char *const names[] = {"theta", "delta", "theta_dot", "delta_dot"};
+    const char *const measured[] = {names[VR_theta], names[VR_delta], names[VR_theta_dot], names[VR_delta_dot]};
     const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot};
     char cause[256] = "the command is not finite";
     int length = 0;
     for (int i = 0; i < 4 && s->fault == IHC_FAULT_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
             const char *value = isnan(values[i]) ? "nan" : values[i] > 0.0 ? "inf" : "-inf"; /* on every platform */
-            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", names[i], value);
+            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", measured[i], value);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",
              s->fault == IHC_FAULT_INPUT ? "non_finite_input" : "non_finite_control", cause);
 }
 
-static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,
-                              char *text, size_t size)
+static fmu_severity explain(int status, const char *const *names, const void *parameters, const void *state,
+                            const void *inputs, double length, char *text, size_t size)
 {
     const ihc_params *p = parameters;
     const ihc_state *s = state;
     switch (status) {
     case IHC_NEW_FAULT:
-        explain_fault(s, inputs, text, size);
+        explain_fault(names, s, inputs, text, size);
         return FMU_WARNING;
     case IHC_SINGULAR_PHI:
         snprintf(text, size, "Phi must be regular, found a singular matrix");
@@ -110,7 +110,7 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
 }
 
 const fmu_unit fmu_the_unit = {
-    .model_identifier = MODEL_IDENTIFIER,
+    .name = UNIT_NAME,
     .variables = VARIABLES,
     .variable_count = VARIABLE_COUNT,
     .parameters_size = sizeof(ihc_params),

@@ -78,8 +78,8 @@ static const char *objection(const void *parameters)
     return NULL;
 }
 
-static fmu_severity explain(int status, const void *parameters, const void *state, const void *inputs, double length,
-                               char *text, size_t size)
+static fmu_severity explain(int status, const char *const *names, const void *parameters, const void *state,
+                            const void *inputs, double length, char *text, size_t size)
 {
     const qube_params *p = parameters;
     const qube_state *s = state;
@@ -97,8 +97,8 @@ static fmu_severity explain(int status, const void *parameters, const void *stat
         break;
     case QUBE_INPUT_NOT_FINITE:
         snprintf(text, size,
-                 "inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = (%.17g, %.17g, %.17g)",
-                 u->voltage, u->disturbance_voltage, u->pendulum_torque);
+                 "inputs must be finite, found %s, %s, %s = (%.17g, %.17g, %.17g)", names[VR_voltage],
+                 names[VR_disturbance_voltage], names[VR_pendulum_torque], u->voltage, u->disturbance_voltage, u->pendulum_torque);
         break;
     case QUBE_DELAY_NOT_MULTIPLE:
         snprintf(text, size,
@@ -138,7 +138,7 @@ static const fmu_continuous CONTINUOUS = {
 };
 
 const fmu_unit fmu_the_unit = {
-    .model_identifier = MODEL_IDENTIFIER,
+    .name = UNIT_NAME,
     .variables = VARIABLES,
     .variable_count = VARIABLE_COUNT,
     .parameters_size = sizeof(qube_params),

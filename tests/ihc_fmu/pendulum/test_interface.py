@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from fmu_export.units import base_units
+from fmu_export.units import base_unit
 from ihc_fmu.pendulum.interface import INTERFACE, STATES, kalman_gains, matrix, upper_triangle, vector
 from ihc_fmu.pendulum.unit import IhcControllerUnit
 
@@ -37,6 +37,13 @@ def test_every_start_value_obeys_its_own_rule_and_every_variable_is_described():
         assert v.description
         if v.start is not None:
             assert v.check(v.start) == v.start
+
+
+def base_units(unit):
+    found = base_unit(unit)
+    assert found is not None
+    assert (found.factor, found.offset) == (1.0, 0.0)
+    return found.powers
 
 
 def times(*units):
