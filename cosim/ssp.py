@@ -23,9 +23,10 @@ from xml.etree import ElementTree as ET
 
 from fmpy.model_description import ModelDescription
 
+from filing.origin import origin
+from filing.ownership import check_replaceable
 from fmu_export.archive import write_zip
 from fmu_export.errors import shown
-from fmu_export.ownership import check_replaceable
 from fmu_export.ssp import OMS, SSC, SSD, write_ssp
 
 from .archives import unpack
@@ -295,7 +296,8 @@ def write(path: Path, name: str, system: System, duration: float, step: float) -
     check_replaceable(path)
     components = {c.name: c.path for c in system.components}
     with tempfile.TemporaryDirectory(prefix="qube-ihc-") as folder:
-        plain = write_ssp(Path(folder) / path.name, name, components, [(w.source, w.target) for w in system.wires])
+        wires = [(w.source, w.target) for w in system.wires]
+        plain = write_ssp(Path(folder) / path.name, name, components, wires, origin())
         with zipfile.ZipFile(plain) as archive:
             contents = {entry: archive.read(entry) for entry in archive.namelist()}
     root = ET.fromstring(contents[DESCRIPTION])
@@ -314,7 +316,7 @@ def write(path: Path, name: str, system: System, duration: float, step: float) -
     ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", startTime="0.0", stopTime=repr(duration))
     ET.indent(root)
     contents[DESCRIPTION] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-    write_zip(path, contents)
+    write_zip(path, contents, origin().software)
     return path
 
 

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ihc_fmu.companion import weights
-from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN, Options, inverse_design
+from ihc_fmu.companion import chain_form, weights
 from ihc_fmu.homogeneity import homogeneous_norm, norm_polynomial, to_chain
 from ihc_fmu.laws import implicit_homogeneous
 from ihc_fmu.pendulum import interface
+from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN, paper_system
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.pendulum.unit import IhcControllerUnit
+from ihc_fmu.synthesis import Options, inverse_design
 from plant_fmu import interface as plant_interface
 from plant_fmu.parameters import parameter_set
 from plant_fmu.unit import QubePlant
@@ -21,6 +22,16 @@ from plant_fmu.unit import QubePlant
 PLANT_OUTPUTS = [v.name for v in plant_interface.INTERFACE.calculated]
 CONTROLLER_OUTPUTS = [v.name for v in interface.INTERFACE.calculated]
 SEEN_BY_CONTROLLER = [PLANT_OUTPUTS.index(n) for n in ("theta_encoder", "delta_encoder", "theta_dot", "delta_dot")]
+
+
+def chain(design):
+    """Return the chain form of a design for one input."""
+    return chain_form(design.A, design.b)
+
+
+def chain_gain(design):
+    """Return the homogeneous gain in the chain form, shape (n,)."""
+    return np.linalg.solve(chain(design).Phi.T, design.k_lin + chain(design).row)
 
 
 class IdealLoop:
@@ -31,7 +42,10 @@ class IdealLoop:
 
     def __init__(self, design, a_min=0.0):
         self.design, self.a_min = design, a_min
-        self.Pz = to_chain(design.Phi.tolist(), design.P.tolist())
+        form = chain_form(design.A, design.b)
+        self.Phi, self.row = form.Phi, form.row
+        self.kz = np.linalg.solve(self.Phi.T, design.k_lin + self.row)
+        self.Pz = to_chain(self.Phi.tolist(), design.P.tolist())
 
     def on_the_sphere(self, rng):
         """Return a random x with x' P x = 1."""
@@ -41,17 +55,19 @@ class IdealLoop:
     def dilated(self, x, r):
         """Return d(ln r) x, through chain coordinates."""
         d = self.design
-        return np.linalg.solve(d.Phi, r ** weights(d.n, d.mu) * (d.Phi @ x))
+        return np.linalg.solve(self.Phi, r ** weights(d.n, d.mu) * (self.Phi @ x))
 
     def norm(self, x, guess=1.0):
         return homogeneous_norm(
-            norm_polynomial(self.Pz, (self.design.Phi @ x).tolist(), self.design.mu), self.design.mu, guess
+            norm_polynomial(self.Pz, (self.Phi @ x).tolist(), self.design.mu), self.design.mu, guess
         )
 
     def velocity(self, x, r, disturbance=0.0):
         """Return x' for the norm r in the law."""
         d, r = self.design, max(self.a_min, r)
-        return d.A @ x + d.b * (implicit_homogeneous(d.k_lin, d.row, d.kz, d.mu, r, x, d.Phi @ x) + disturbance)
+        return d.A @ x + d.b * (
+            implicit_homogeneous(d.k_lin, self.row, self.kz, d.mu, r, x, self.Phi @ x) + disturbance
+        )
 
     def rate(self, x, r, disturbance=0.0):
         """Return d||x||_d/dt at x with ||x||_d = r, by a central difference along the motion."""
@@ -102,10 +118,10 @@ def design():
 
 
 @pytest.fixture(scope="session")
-def designs(paper, design):
+def designs(design):
     """Designs for the paper's system by mu, with alpha at two thirds of the largest feasible one or more."""
     alphas = {0.25: 0.5, 0.5: 0.35}
-    return {mu: inverse_design(*paper, options=Options(mu=mu, alpha=alpha)) for mu, alpha in alphas.items()} | {
+    return {mu: inverse_design(paper_system(), Options(mu=mu, alpha=alpha)) for mu, alpha in alphas.items()} | {
         1.0: design
     }
 
