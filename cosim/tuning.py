@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -382,37 +382,45 @@ def _order(point: Point) -> tuple[float, float, float]:
 
 
 def _landscape(tuning: Tuning) -> Figure:
+    """Return the measure, and below it the chattering where the system has one, over a_min; a column for each mu."""
     mus = list(dict.fromkeys(point.mu for point in tuning.outcomes))
-    figure = Figure(figsize=(4.2 * len(mus) + 1, 7), layout="constrained")
-    panels = figure.subplots(2, len(mus), sharex=True, sharey="row", squeeze=False)
-    stops = {(p.mu, p.u_max): p for p in tuning.stops}
+    rows = {"measure": tuning.quantities[tuning.measure]}
+    if tuning.chattering is not None:
+        rows["chattering"] = tuning.chattering
+    figure = Figure(figsize=(4.2 * len(mus) + 1, 3.5 * len(rows)), layout="constrained")
+    panels = figure.subplots(len(rows), len(mus), sharex=True, sharey="row", squeeze=False)
     for column, mu in enumerate(mus):
-        for number, u_max in enumerate(dict.fromkeys(p.u_max for p in tuning.outcomes)):
-            curve = sorted(
-                (o for p, o in tuning.outcomes.items() if (p.mu, p.u_max, p.b_max) == (mu, u_max, 1.0)),
-                key=lambda o: -o.point.a_min,
-            )
-            stop, colour = tuning.outcomes[stops[mu, u_max]], OTHERS[number % len(OTHERS)]
-            for row, name in enumerate(("measure", "chattering")):
-                axis = panels[row, column]
-                values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
-                a_mins = [o.point.a_min for o in curve]
-                label = None if u_max is None else f"|k x| ≤ {u_max:g} V on the unit ball"
-                axis.plot(a_mins, values, "o-", ms=3, lw=1, color=colour, label=label)
-                if stop.point.b_max == 1.0:
-                    axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=colour)
-                else:
-                    axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=colour)
+        scales = dict.fromkeys(p.u_max for p in tuning.outcomes)
+        for number, u_max in enumerate(scales):
+            for row, name in enumerate(rows):
+                _draw_family(panels[row, column], tuning, (mu, u_max), name, OTHERS[number % len(OTHERS)])
         if mu is not None:
             panels[0, column].set_title(f"μ = {mu:g}", fontsize="medium")
-        panels[1, column].set_xlabel("$a_{min}$ (1: the LC)")
+        panels[-1, column].set_xlabel("$a_{min}$ (1: the LC)")
     for axis in panels.flat:
-        axis.set_yscale("log")
+        if any((np.asarray(line.get_ydata(), float) > 0.0).any() for line in axis.lines):
+            axis.set_yscale("log")
         axis.grid(alpha=0.3, which="both")
     panels[0, 0].invert_xaxis()
-    panels[0, 0].set_ylabel(literal(tuning.quantities[tuning.measure].heading))
-    panels[1, 0].set_ylabel("" if tuning.chattering is None else literal(tuning.chattering.heading))
+    for row, quantity in enumerate(rows.values()):
+        panels[row, 0].set_ylabel(literal(quantity.heading))
     handles, labels = panels[0, 0].get_legend_handles_labels()
     if labels:
         figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure
+
+
+def _draw_family(axis: Any, tuning: Tuning, family: Family, name: str, colour: str) -> None:
+    """Draw `measure` or `chattering` of one mu and scale of P over a_min, and mark where the rule stopped."""
+    curve = sorted(
+        (o for p, o in tuning.outcomes.items() if ((p.mu, p.u_max), p.b_max) == (family, 1.0)),
+        key=lambda o: -o.point.a_min,
+    )
+    stop = tuning.outcomes[next(p for p in tuning.stops if (p.mu, p.u_max) == family)]
+    values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
+    label = None if family[1] is None else f"|k x| ≤ {family[1]:g} V on the unit ball"
+    axis.plot([o.point.a_min for o in curve], values, "o-", ms=3, lw=1, color=colour, label=label)
+    if stop.point.b_max == 1.0:
+        axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=colour)
+    else:
+        axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=colour)
