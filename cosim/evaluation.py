@@ -7,7 +7,9 @@ pendulum's.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Container, Mapping, Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, StrictStr, field_validator, model_validator
@@ -170,25 +172,14 @@ _ANGLES = {"theta": "arm θ", "delta": "pendulum δ"}
 _MODES = ((1, "idle"), (2, SWING_UP), (3, ACTING), (4, "fault"))
 
 
-def pendulum_evaluation(known: Mapping[str, Any], start: Mapping[str, Any] | None = None) -> Evaluation:
-    """Return the pendulum's evaluation: of the true angles where both are known, of the measured ones otherwise.
-
-    `start` are start values of the controller: a set-point of the arm that is not 0, and has no signal, is a constant.
-    """
+def pendulum_evaluation(known: Container[str]) -> Evaluation:
+    """Return the pendulum's evaluation: of the true angles where both are `known`, of the measured ones otherwise."""
     missing = {suffix: sum(f"plant.{angle}{suffix}" not in known for angle in _ANGLES) for suffix in ("_encoder", "")}
     suffix = "" if missing[""] == 0 else min(missing, key=lambda s: missing[s])
-    point, constant = "controller.theta_setpoint", (start or {}).get("theta_setpoint", 0.0)
-    arm: dict[str, Any] = {"set_point": point} if point in known else {"constant": float(constant)}
     return Evaluation(
         kind="pendulum",
         errors=tuple(
-            ErrorSignal(
-                signal=f"plant.{angle}{suffix}",
-                unit="rad",
-                label=label,
-                wraps=angle == "delta",
-                **(arm if angle == "theta" else {}),
-            )
+            ErrorSignal(signal=f"plant.{angle}{suffix}", unit="rad", label=label, wraps=angle == "delta")
             for angle, label in _ANGLES.items()
         ),
         controls=(ControlSignal(signal="controller.voltage", unit="V", label="voltage V"),),
@@ -200,11 +191,12 @@ def pendulum_evaluation(known: Mapping[str, Any], start: Mapping[str, Any] | Non
 def evaluation_in(result: Result) -> Evaluation:
     """Return what a result is judged by: what its metadata keep, the pendulum's where they keep nothing."""
     kept = result.metadata.get("evaluation")
-    if kept is not None:
-        return checked(Evaluation, kept, "the result's metadata: evaluation")
-    start = result.metadata.get("start_values")
-    controller = start.get(CONTROLLER) if isinstance(start, dict) else None
-    return pendulum_evaluation(result.signals, controller if isinstance(controller, dict) else None)
+    return pendulum_evaluation(result.signals) if kept is None else _kept(json.dumps(kept, sort_keys=True))
+
+
+@lru_cache(maxsize=64)
+def _kept(text: str) -> Evaluation:
+    return checked(Evaluation, json.loads(text), "the result's metadata: evaluation")
 
 
 def evaluation_of(

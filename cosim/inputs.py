@@ -83,7 +83,7 @@ class DisturbanceSection(_Sines):
 class StepSignal(_Section):
     """0 before a time, a value from then on."""
 
-    kind: Literal["step"]
+    kind: Literal["step"] = Field(description="step")
     input: str = Field(description="input as component.variable")
     value: Finite = Field(description="value from `time` on, in the input's unit")
     time: Finite = Field(0.0, description="when it steps [s]")
@@ -101,7 +101,7 @@ class StepSignal(_Section):
 class PulseSignal(_Section):
     """A value for a while, 0 before and after."""
 
-    kind: Literal["pulse"]
+    kind: Literal["pulse"] = Field(description="pulse")
     input: str = Field(description="input as component.variable")
     value: Finite = Field(description="value in the pulse, in the input's unit")
     width: Positive = Field(description="how long it lasts [s]")
@@ -119,7 +119,7 @@ class PulseSignal(_Section):
 class SquareSignal(_Section):
     """Mean plus amplitude in the first half of each period, mean minus amplitude in the second; the mean before."""
 
-    kind: Literal["square"]
+    kind: Literal["square"] = Field(description="square")
     input: str = Field(description="input as component.variable")
     amplitude: Finite = Field(description="amplitude, in the input's unit")
     period: Positive = Field(description="period [s]")
@@ -141,14 +141,14 @@ class SquareSignal(_Section):
 class SinesSignal(_Sines):
     """A sum of sines times a gain on an input."""
 
-    kind: Literal["sines"]
+    kind: Literal["sines"] = Field(description="sines")
     input: str = Field(description="input as component.variable")
 
 
 class CsvSignal(_Section):
     """A table of times and values from a file; beyond its ends the first and the last value hold."""
 
-    kind: Literal["csv"]
+    kind: Literal["csv"] = Field(description="csv")
     input: str = Field(description="input as component.variable")
     file: PlainName = Field(
         description="table with columns time and value, beside the scenario or in the current folder"
@@ -158,6 +158,9 @@ class CsvSignal(_Section):
         "linear", description="linear between rows, or held until the next"
     )
 
+
+KINDS = {"step": StepSignal, "pulse": PulseSignal, "square": SquareSignal, "sines": SinesSignal, "csv": CsvSignal}
+"""The kinds of signals by their names."""
 
 SignalSection = Annotated[
     StepSignal | PulseSignal | SquareSignal | SinesSignal | CsvSignal, Field(discriminator="kind")

@@ -127,7 +127,12 @@ def _has_norm(about: Evaluation, results: Iterable[Result]) -> bool:
 
 
 def save_overview(result: Result, path: Path, title: str) -> Path:
-    """Write one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
+    """Write the overview of a single result as a picture."""
+    return save_figure(overview(result), path, title)
+
+
+def overview(result: Result) -> Figure:
+    """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     about = evaluation_in(result)
     has_norm = _has_norm(about, [result])
     groups = about.error_groups if len(about.errors) > 1 else {}
@@ -155,7 +160,21 @@ def save_overview(result: Result, path: Path, title: str) -> Path:
     all_axes[-1].set_xlabel("time [s]")
     figure.align_ylabels(all_axes)
     _mode_legend(figure, [result])
-    return save_figure(figure, path, title)
+    return figure
+
+
+def panels_of(result: Result, names: Sequence[str]) -> Figure:
+    """Return one figure with a panel for each of the signals `names`; raise UserError for one that is not there."""
+    figure = Figure(figsize=(9, 1.8 * max(len(names), 2)), layout="constrained")
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, name in zip(axes, names, strict=True):
+        axis.plot(result.time, result[name], color=COLOURS["LC"], lw=1.0)
+        axis.set_ylabel(label(ControlSignal(signal=name, unit=result.units.get(name, NO_UNIT))))
+        axis.margins(x=0)
+        axis.grid(alpha=0.3)
+    axes[-1].set_xlabel("time [s]")
+    figure.align_ylabels(axes)
+    return figure
 
 
 def positive(axis: Any, time: np.ndarray, signal: np.ndarray, colour: str, label: str | None = None) -> None:

@@ -468,26 +468,21 @@ def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Ma
 
 def _check_model(system: System) -> None:
     """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
-    from .model_match import misfit  # noqa: PLC0415
+    from .model_match import judged_pair, misfit  # noqa: PLC0415
 
-    values = _both_values(system)
-    problem = None if values is None else misfit(*values)
+    pair = judged_pair(system)
+    problem = None if pair is None else misfit(*pair)
     if problem is not None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")
 
 
-def _both_values(system: System) -> list[dict[str, StartValue]] | None:
-    """Return all start values of controller and plant; None where there are not both."""
-    found = {c.name: {**_own_values(c.path), **c.start} for c in system.components}
-    return [found[CONTROLLER], found[PLANT]] if {CONTROLLER, PLANT} <= found.keys() else None
-
-
 def remarks(system: System) -> list[str]:
     """Return what is to be known of a system's controller on its plant, although they fit, see `model_match`."""
+    from .model_match import judged_pair  # noqa: PLC0415
     from .model_match import remarks as found  # noqa: PLC0415
 
-    values = _both_values(system)
-    return [] if values is None else found(*values)
+    pair = judged_pair(system)
+    return [] if pair is None else found(*pair)
 
 
 def run_scenario(
