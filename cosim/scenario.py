@@ -337,8 +337,8 @@ class _Plan:
             raise UserError(
                 "plant.measurement says how the pendulum is wired, and the wires are listed: give one of both"
             )
-        seed = self.scenario.run.seed
-        if seed is not None and not random_measurement(self.own.get(PLANT, {}), seed):
+        seed, own = self.scenario.run.seed, self.own.get(PLANT, {})
+        if seed is not None and not offsets(own) and "noise_seed" not in own:
             raise UserError(
                 f"run.seed draws the plant's offsets (*{OFFSETS[0]}, *{OFFSETS[1]}) and seeds its noise (noise_seed), which "
                 f"this plant has not, found {seed}"
@@ -348,7 +348,7 @@ class _Plan:
         wires = self.wires()
         started = {name: self._start(name) for name in self.paths}
         signals = self.signals()
-        if CONTROLLER in self.paths:
+        if CONTROLLER in self.paths and wires not in WIRES.values():
             self._check_fed(wires, signals, started[CONTROLLER])
         names = self._sequence(wires)
         components = tuple(Component(name, self.paths[name], started[name]) for name in names)

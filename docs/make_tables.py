@@ -94,7 +94,7 @@ MANY: dict[str, dict[str, type[BaseModel]]] = {
 def _entry(name: str, field: FieldInfo) -> str:
     default = {} if field.default_factory else field.default
     text = "required" if field.is_required() else "none" if default is None else str(default)
-    return f"| `{name}` | {text} | {field.description} |"
+    return f"| `{name}` | {text} | {_plain(field.description or '')} |"
 
 
 def fault_kinds() -> str:
