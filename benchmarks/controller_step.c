@@ -39,38 +39,28 @@ EXPORTED double linear_law(const double (*x)[N], long count)
 {
     double sum = 0.0;
     for (long k = 0; k < count; k++) {
-        sum += ihc_law_linear(LC.k_lin, x[k]);
+        sum += dot(LC.k_lin, x[k], N);
     }
     return sum;
 }
 
-static void chain(const ihc_prepared *q, const double x[N], double z[N], ihc_polynomial *c)
-{
-    for (int i = 0; i < N; i++) {
-        z[i] = 0.0;
-        for (int j = 0; j < N; j++) {
-            z[i] += ALGORITHM1.Phi[i][j] * x[j];
-        }
-    }
-    ihc_norm_polynomial(q->Pz, z, ALGORITHM1.mu, 0, c);
-}
-
-/* z = Phi x, the polynomial, Algorithm 1 and the homogeneous law alone; `a_min` in place of the parameter. */
+/* The polynomial, Algorithm 1 and the homogeneous law alone; `a_min` in place of the parameter. */
 EXPORTED double algorithm1_law(const double (*x)[N], long count, double a_min)
 {
     const ihc_params *p = &ALGORITHM1;
     ihc_prepared q;
-    double sum = 0.0, z[N], interval[2];
-    ihc_polynomial c;
+    double sum = 0.0, voltage = 0.0, interval[2];
+    block_state state;
     if (ihc_prepare(p, &q) != IHC_OK) {
         return 0.0;
     }
     interval[0] = a_min;
     interval[1] = p->b_max;
     for (long k = 0; k < count; k++) {
-        chain(&q, x[k], z, &c);
-        ihc_bisection_update(&c, p->mu, interval, a_min, p->b_max, p->j_max);
-        sum += ihc_law_homogeneous(p->k_lin, p->row, q.kz, p->mu, interval[1], x[k], z);
+        make_block_state(&q.design, x[k], &state);
+        bisection_update(&q.design, &state.polynomial, interval, a_min, p->b_max, p->j_max);
+        homogeneous_law(&q.design, interval[1], 0.0, &state, &voltage);
+        sum += voltage;
     }
     return sum;
 }
@@ -80,16 +70,17 @@ EXPORTED double exact_law(const double (*x)[N], long count, double a_min)
 {
     const ihc_params *p = &EXACT;
     ihc_prepared q;
-    double sum = 0.0, norm = 1.0, z[N];
-    ihc_polynomial c;
+    double sum = 0.0, voltage = 0.0, norm = 1.0;
+    block_state state;
     if (ihc_prepare(p, &q) != IHC_OK) {
         return 0.0;
     }
     for (long k = 0; k < count; k++) {
-        chain(&q, x[k], z, &c);
-        norm = ihc_homogeneous_norm(&c, p->mu, norm);
+        make_block_state(&q.design, x[k], &state);
+        norm = homogeneous_norm(&q.design, &state.polynomial, norm);
         const double r = norm < a_min ? a_min : norm > p->b_max ? p->b_max : norm;
-        sum += ihc_law_homogeneous(p->k_lin, p->row, q.kz, p->mu, r, x[k], z);
+        homogeneous_law(&q.design, r, 0.0, &state, &voltage);
+        sum += voltage;
     }
     return sum;
 }

@@ -25,7 +25,7 @@ class Monolithic:
         for unit, name, changes in ((PLANT, "PLANT", plant), (CONTROLLER, "CONTROLLER", controller)):
             values = unit.interface.start_values(changes)
             header += f"static const {unit.prefix}_params {name} = {struct_initializer(unit, values)};\n"
-        files = {f.name: f.read_bytes() for unit in (PLANT, CONTROLLER) for f in unit.folder.glob(f"{unit.stem}.[ch]")}
+        files = {name: file.read_bytes() for unit in (PLANT, CONTROLLER) for name, file in unit.core.items()}
         files["monolithic.c"] = (Path(__file__).parent / "monolithic.c").read_bytes()
         files["start_values.h"] = header.encode()
         platform = host_platform()

@@ -29,10 +29,12 @@ _ROLES = {"parameter": "params", "input": "inputs", "output": "outputs", "local"
 class NativeUnit:
     """A unit written in C.
 
-    `folder` holds `<stem>.h`, `<stem>.c` and `<stem>_fmu.c`; `prefix` begins the names of its structs. The fields of the
-    structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array NAME, and so are NAME_1_1,
-    NAME_1_2, ... by rows. `twin` is the same unit in Python, whose construction refuses start values that contradict each
-    other. `model_exchange` tells its structure for given start values, None for co-simulation only.
+    `folder` holds `<stem>.h`, `<stem>.c` and `<stem>_fmu.c`; `common` are further files that it is made of, which others may
+    share, as names in `folder` or as paths, those of its FMI part ending with `_fmu.h`. `prefix` begins the names of its
+    structs. The fields of the structs are named as the variables; consecutive variables NAME_1, NAME_2, ... are an array
+    NAME, and so are NAME_1_1, NAME_1_2, ... by rows. `twin` is the same unit in Python, whose construction refuses start
+    values that contradict each other. `model_exchange` tells its structure for given start values, None for co-simulation
+    only.
 
     An FMU shows all variables of `interface`, or some of them under other names (`Variable.slot`); `twin` and
     `model_exchange` always get the start values of all, and speak of them, by the names in `interface`.
@@ -45,6 +47,7 @@ class NativeUnit:
     prefix: str
     model_exchange: Callable[[Mapping[str, Value]], ModelExchange] | None = None
     largest_model_exchange: ModelExchange | None = None
+    common: tuple[str | Path, ...] = ()
 
     def __post_init__(self) -> None:
         for variable in self.interface.variables:
@@ -57,11 +60,19 @@ class NativeUnit:
         return _places(self.interface)
 
     @property
+    def _own(self) -> list[Path]:
+        return [self.folder / name for name in (*(f"{self.stem}{end}" for end in (".c", ".h", "_fmu.c")), *self.common)]
+
+    @property
+    def core(self) -> dict[str, Path]:
+        """The unit's source files by name that know nothing of FMI."""
+        return {file.name: file for file in self._own if not file.name.endswith(("_fmu.c", "_fmu.h"))}
+
+    @property
     def sources(self) -> dict[str, Path]:
         """Hand-written source files by name, the adapter's included, headers too."""
-        own = [self.folder / f"{self.stem}{end}" for end in (".c", "_fmu.c", ".h")]
         shared = [ADAPTER / name for name in (*ADAPTER_SOURCES, "fmu_instance.h", "fmu_names.h", "fmu_unit.h")]
-        return {file.name: file for file in (*own, *shared)}
+        return {file.name: file for file in (*self._own, *shared)}
 
     @property
     def generated(self) -> dict[str, str]:

@@ -23,7 +23,7 @@ from .model_description import Capabilities, model_description
 from .origin import ANONYMOUS, Origin
 from .variables import Value
 
-SHARED = ("fmu_export", "pythonfmu")
+SHARED = ("fmu_export", "pythonfmu", "rotary_pendulum")
 """Packages that a unit's code may import besides its own."""
 
 SCRIPT = """import ctypes

@@ -1,11 +1,12 @@
 """The canonical homogeneous norm ||x||_d online: the root r of ||d(-ln r) x||_P = 1, eq. (12) of the paper.
 
-In chain coordinates z = Phi x with weights w_i = 1 + mu (n - i), and with s = r^-mu, Remark 5 becomes
+In block coordinates z = T x (of one input: chain coordinates z = Phi x) coordinate j has the exponent e_j, the number of
+blocks behind its own, and the weight w_j = 1 + mu e_j. With s = r^-mu, Remark 5 becomes
 
-    N^2(r) = ||d(-ln r) x||_P^2 = r^-2 (c_0 + c_1 s + ... + c_{2n-2} s^(2n-2)),
+    N^2(r) = ||d(-ln r) x||_P^2 = r^-2 (c_0 + c_1 s + ... + c_{2e} s^(2e)),   e = e_1,
 
-where c_m is the sum of z_i Pz_ij z_j over (n - i) + (n - j) = m and Pz = Phi^-T P Phi^-1. The coefficients are computed
-once per sample; each evaluation is then one polynomial. Under G_d' P + P G_d > 0, N decreases strictly in r.
+where c_m is the sum of z_i Pz_ij z_j over e_i + e_j = m and Pz = T^-T P T^-1. The coefficients are computed once per
+sample; each evaluation is then one polynomial. Under G_d' P + P G_d > 0, N decreases strictly in r.
 
 Squares leave the range of numbers long before states do. Where an entry of z is beyond ORDINARY, the coefficients are
 those of the dilated state d(-e ln 2) z, whose norm is 2^-e times that of z and near 1.
@@ -23,6 +24,8 @@ from fmu_export.errors import UserError
 
 Vector = Sequence[float]
 Matrix = Sequence[Sequence[float]]
+Exponents = Sequence[int]
+"""e_j of each coordinate: they fall from block to block by 1, to 0 for the last block."""
 
 NEWTON_LIMIT = 100
 """Iterations after which the root search stops; more than ten are rare, and each two at least halve the bracket."""
@@ -34,10 +37,10 @@ GUESSES = (1e-12, 1e12)
 """Range of starting values that are used."""
 
 ORDINARY = (2.0**-200, 2.0**200)
-"""Magnitudes of chain coordinates whose norm is computed without scaling; 0 is ordinary too."""
+"""Magnitudes of block coordinates whose norm is computed without scaling; 0 is ordinary too."""
 
 NEGLIGIBLE = 2.0**-500
-"""A chain coordinate of a scaled state below this, beside others near 1, counts as 0."""
+"""A block coordinate of a scaled state below this, beside others near 1, counts as 0."""
 
 FAR = 100
 """Binary orders of magnitude between r and the norm of a scaled state beyond which N(r) is taken for 0 or infinite."""
@@ -52,17 +55,25 @@ SHIFT = 600
 """States beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times themselves."""
 
 
+LEAST = 2.0**-1000
+"""Measurements and filtered values below this, about 1e-301, count as 0: further decay would reach subnormal numbers, on
+which processors are many times slower."""
+
+LEAST_ESTIMATE = 2.0**-300
+"""The same for the estimates of an observer, about 5e-91: models multiply up to three of them."""
+
+
 class NormPolynomial(NamedTuple):
-    """c_0, ..., c_{2n-2} of Remark 5's polynomial for the state d(-exponent ln 2) z."""
+    """c_0, ..., c_{2e} of Remark 5's polynomial for the state d(-exponent ln 2) z."""
 
     c: Vector
     exponent: int = 0
 
 
-def solve(M: Matrix, B: Matrix) -> list[list[float]]:
+def solve(M: Matrix, B: Matrix, name: str = "Phi") -> list[list[float]]:
     """Return M^-1 B by Gaussian elimination with partial pivoting; M is (n, n), B is (n, m).
 
-    Raises UserError where M is singular.
+    Raises UserError where M is singular; the sentence calls it `name`.
     """
     n = len(M)
     rows = [[*M[i], *B[i]] for i in range(n)]
@@ -71,7 +82,7 @@ def solve(M: Matrix, B: Matrix) -> list[list[float]]:
         rows[k], rows[pivot] = rows[pivot], rows[k]
         head = rows[k][k]
         if head == 0.0 or not isfinite(head):
-            raise UserError("Phi must be regular, found a singular matrix")
+            raise UserError(f"{name} must be regular, found a singular matrix")
         for i in range(k + 1, n):
             factor = rows[i][k] / head
             for j in range(k, len(rows[i])):
@@ -99,10 +110,15 @@ def transpose(M: Matrix) -> list[list[float]]:
     return [list(column) for column in zip(*M, strict=True)]
 
 
-def to_chain(Phi: Matrix, P: Matrix) -> list[list[float]]:
-    """Return Pz = Phi^-T P Phi^-1, both (n, n): the quadratic form x' P x in chain coordinates."""
-    Phi_t = transpose(Phi)
-    return solve(Phi_t, transpose(solve(Phi_t, P)))
+def chain(n: int) -> list[int]:
+    """Return the exponents of the chain form of order n, n blocks of one coordinate: n - 1, ..., 1, 0."""
+    return list(range(n - 1, -1, -1))
+
+
+def to_blocks(T: Matrix, P: Matrix, name: str = "Phi") -> list[list[float]]:
+    """Return Pz = T^-T P T^-1, both (n, n): the quadratic form x' P x in the coordinates z = T x; raises as `solve`."""
+    T_t = transpose(T)
+    return solve(T_t, transpose(solve(T_t, P, name)), name)
 
 
 def dot(a: Vector, b: Vector) -> float:
@@ -128,7 +144,7 @@ _SPLIT = 134217729.0
 def exact_dot(a: Vector, b: Vector) -> float:
     """Return a' b to full precision although its terms cancel, for products below 2^900; others as `dot`.
 
-    States near an axis of the dilation have chain coordinates far smaller than their terms, and the norm magnifies them.
+    States near an axis of the dilation have block coordinates far smaller than their terms, and the norm magnifies them.
     The second sum is that of T. Ogita, S. M. Rump and S. Oishi, SIAM J. Sci. Comput. 26 (2005), 1955-1988, Dot2.
     """
     total, size = 0.0, 0.0
@@ -165,6 +181,11 @@ def _high(a: float) -> float:
     return t - (t - a)
 
 
+def flushed(value: float, least: float) -> float:
+    """Return `value`, 0 where it is smaller in magnitude than `least`; NaN stays."""
+    return 0.0 if 0.0 < abs(value) < least else value
+
+
 def shift_of(x: Vector) -> int:
     """Return the power of 2 to take out of the state x before products with it may leave the range of numbers."""
     size = max(map(abs, x))
@@ -173,38 +194,38 @@ def shift_of(x: Vector) -> int:
     return -SHIFT if 0.0 < size < 2.0**-SHIFT else 0
 
 
-def norm_polynomial(Pz: Matrix, z: Vector, mu: float, shift: int = 0) -> NormPolynomial:
-    """Return Remark 5's polynomial for the state 2^shift z, z (n,) in chain coordinates."""
+def norm_polynomial(Pz: Matrix, z: Vector, exponents: Exponents, mu: float, shift: int = 0) -> NormPolynomial:
+    """Return Remark 5's polynomial for the state 2^shift z, z (n,) in block coordinates with their exponents."""
     exponent = 0
     if shift != 0 or not all(ORDINARY[0] <= abs(entry) <= ORDINARY[1] or entry == 0.0 for entry in z):
-        z, exponent = scaled(Pz, z, mu, shift)
+        z, exponent = scaled(Pz, z, exponents, mu, shift)
     n = len(z)
-    c = [0.0] * (2 * n - 1)
+    c = [0.0] * (2 * exponents[0] + 1)
     for i in range(n):
-        z_i, row = z[i], Pz[i]
-        c[2 * (n - 1 - i)] += row[i] * z_i * z_i
+        z_i, row, e_i = z[i], Pz[i], exponents[i]
+        c[2 * e_i] += row[i] * z_i * z_i
         for j in range(i + 1, n):
-            c[2 * n - 2 - i - j] += 2.0 * row[j] * z_i * z[j]
+            c[e_i + exponents[j]] += 2.0 * row[j] * z_i * z[j]
     return NormPolynomial(c, exponent)
 
 
-def scaled(Pz: Matrix, z: Vector, mu: float, shift: int) -> tuple[list[float], int]:
+def scaled(Pz: Matrix, z: Vector, exponents: Exponents, mu: float, shift: int) -> tuple[list[float], int]:
     """Return d(-e ln 2) 2^shift z and e, a multiple of 4 near the binary logarithm of the norm.
 
     Exact where 4 mu is an integer: all factors are powers of 2. A state that is not finite is returned as it is.
     """
-    n = len(z)
+    weights = [1.0 + mu * e_j for e_j in exponents]
     sizes = [
-        (frexp(z[i])[1] + shift + 0.5 * frexp(Pz[i][i])[1]) / (1.0 + mu * (n - 1 - i)) for i in range(n) if z[i] != 0.0
+        (frexp(entry)[1] + shift + 0.5 * frexp(Pz[j][j])[1]) / weights[j] for j, entry in enumerate(z) if entry != 0.0
     ]
     if not sizes or not all(map(isfinite, z)):
         return list(z), 0
     e = 4 * floor(max(sizes) / 4.0 + 0.5)
     entries = []
-    for i in range(n):
-        power = shift - e * (1.0 + mu * (n - 1 - i))
+    for z_j, weight in zip(z, weights, strict=True):
+        power = shift - e * weight
         whole = floor(power)
-        entry = ldexp(z[i] * 2.0 ** (power - whole), whole)
+        entry = ldexp(z_j * 2.0 ** (power - whole), whole)
         entries.append(entry if abs(entry) >= NEGLIGIBLE else 0.0)
     return entries, e
 
@@ -251,6 +272,31 @@ def bisection_update(
             else:
                 a = middle
     return a, b
+
+
+class NormSearch(NamedTuple):
+    """How the norm in the law is found: the exact norm limited to [a_min, b_max], or Algorithm 1 with j_max bisections."""
+
+    exact: bool
+    a_min: float
+    b_max: float
+    j_max: int
+
+
+def norm_in_law(
+    search: NormSearch, polynomial: NormPolynomial, mu: float, norm: float, interval: tuple[float, float]
+) -> tuple[float, tuple[float, float]]:
+    """Return (r in the law, the new interval of Algorithm 1), given the exact norm; NaN for a norm that is none.
+
+    The last interval is brought within bounds that may have been tuned since.
+    """
+    _, a_min, b_max, j_max = search
+    if search.exact:
+        return (norm if isnan(norm) else min(b_max, max(a_min, norm))), interval
+    low, high = interval
+    held = min(b_max, max(a_min, low)), min(b_max, max(a_min, high))
+    found = bisection_update(polynomial, mu, held, a_min, b_max, j_max)
+    return found[1], found
 
 
 def homogeneous_norm(polynomial: NormPolynomial, mu: float, guess: float = 1.0) -> float:

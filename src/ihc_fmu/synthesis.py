@@ -6,7 +6,7 @@ The solver's word is not taken: a `Design` proves itself from its numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -37,6 +37,8 @@ MUS = (1.0, 0.75, 0.5, 0.25)
 """Degrees that are tried where none is given."""
 SHARE_OF_ALPHA, SHARE_OF_LIMIT, ROUGH = 0.5, 0.5, 1e-2
 """What is chosen: alpha relative to the largest one, which is found to ROUGH, and u_max relative to the limits' room."""
+ROUNDS, WIDEST, NARROWEST, SETTLED = 12, 1e6, 2.0, 0.05
+"""Of the largest unit ball: most programs, widest and narrowest bounds on X in each, and ln X that counts as no change."""
 DIRECT_MARGIN = 1.2
 """Of the closed form of a direct design: it is for this multiple of alpha."""
 
@@ -248,21 +250,16 @@ class _Program:
         self.bounds = options.bounds(system.m)
         form = block_form(system.A, system.B, [q.name for q in system.states])
         self.K_0, self.G = form.K_0, form.generator(options.mu)
+        if options.delta_max is not None and not 0 <= options.index < system.n:
+            raise UserError(f"the bounded state must be one of 0..{system.n - 1}, found {options.index}")
         self.S = S if system.K is None else S * self._room(S)
-        inverse = np.linalg.inv(self.S)
-        self.W = inverse @ self.G @ self.S
-        gain = self.K_0 if system.K is None else system.K
-        self.drift = inverse @ (system.A + system.B @ gain) @ self.S / omega
-        self.B = inverse @ system.B
 
     def _sizes(self, S: Array) -> list[Array]:
-        """Return rows f of the bounds f X f' <= 1 in the coordinates y."""
+        """Return rows f of the bounds f X f' <= 1 in the coordinates y, x = S y."""
         rows = []
         if self.system.K is not None and self.bounds is not None:
             rows += list((self.system.K - self.K_0) @ S / self.bounds[:, None])
         if self.options.delta_max is not None:
-            if not 0 <= self.options.index < self.system.n:
-                raise UserError(f"the bounded state must be one of 0..{self.system.n - 1}, found {self.options.index}")
             rows.append(S[self.options.index] / self.options.delta_max)
         return rows
 
@@ -272,57 +269,83 @@ class _Program:
         return 1.0 / largest if largest > 0.0 else 1.0
 
     def design(self, tau: float) -> Design:
-        """Return the design with the multiplier tau; where the solver fails, the first ball that serves."""
-        try:
-            return self._solved(tau)
-        except (InfeasibleError, CertificateError) as error:
-            if self.options.psi or self.options.d_max:
-                raise
+        """Return the design with the multiplier tau; where the solver fails, the largest ball until then, or the first.
+
+        The program is solved in the coordinates of its last solution until that does not change; where the solver fails,
+        with narrower bounds on the change.
+        """
+        S, largest, found, failed = self.S, WIDEST, None, None
+        complete = False
+        for _ in range(ROUNDS):
             try:
-                return self._first(tau)
-            except CertificateError as failed:
-                message = f"{self.what}: what was found does not prove itself in double precision: {failed}"
-                raise InfeasibleError(message, numerical=True) from error
+                X, Y = self._solved(S, tau, largest)
+                made = self._made(S, X, Y, tau, "inverse (10)-(11)" if Y is None else "direct (9)")
+                following = S @ np.linalg.cholesky(X)
+            except (InfeasibleError, CertificateError, LinAlgError) as error:
+                failed, largest = failed or error, largest**0.5
+                if largest < NARROWEST:
+                    break
+                continue
+            found, S = made, following
+            complete = float(np.abs(np.log(np.linalg.eigvalsh(X))).max()) < SETTLED
+            if complete:
+                return found
+        if found is None:
+            found = self._first(tau, failed)
+        return replace(found, method=f"{found.method}, ball not maximized")
 
-    def _first(self, tau: float) -> Design:
-        if self.system.K is not None:
-            return self._made(np.eye(self.system.n), None, tau, "inverse (10)-(11), ball not maximized")
-        assert self.bounds is not None
-        Y = -(self.B * self.bounds**2).T  # of the closed form, whose X is the unit matrix here
-        scale = float(max(np.linalg.norm(row) / bound for row, bound in zip(Y, self.bounds, strict=True)))
-        return self._made(np.eye(self.system.n), Y / scale, tau, "direct (9), ball not maximized")
+    def _first(self, tau: float, failed: Exception | None) -> Design:
+        """Return the design whose unit ball is y' y <= 1 in the first coordinates."""
+        if self.options.psi or self.options.d_max:
+            raise failed or InfeasibleError(self.what)
+        try:
+            if self.system.K is not None:
+                return self._made(self.S, np.eye(self.system.n), None, tau, "inverse (10)-(11)")
+            assert self.bounds is not None
+            Y = -(np.linalg.solve(self.S, self.system.B) * self.bounds**2).T  # of the closed form, whose X is I here
+            scale = float(max(np.linalg.norm(row) / bound for row, bound in zip(Y, self.bounds, strict=True)))
+            return self._made(self.S, np.eye(self.system.n), Y / scale, tau, "direct (9)")
+        except (CertificateError, LinAlgError) as error:
+            message = f"{self.what}: what was found does not prove itself in double precision: {error}"
+            raise InfeasibleError(message, numerical=True) from failed
 
-    def _solved(self, tau: float) -> Design:
+    def _solved(self, S: Array, tau: float, largest: float) -> tuple[Array, Array | None]:
+        """Return X, and Y where a gain is designed, in the coordinates y, x = S y, with I/largest <= X <= largest I."""
         import cvxpy as cp  # noqa: PLC0415
 
-        n, options = self.system.n, self.options
+        n, options, inverse = self.system.n, self.options, np.linalg.inv(S)
+        gain = self.K_0 if self.system.K is None else self.system.K
+        W, B = inverse @ self.G @ S, inverse @ self.system.B
         X = cp.Variable((n, n), symmetric=True)
         Y = cp.Variable((self.system.m, n)) if self.system.K is None else None
-        drift = self.drift @ X
+        drift = (inverse @ (self.system.A + self.system.B @ gain) @ S / self.omega) @ X
         if Y is not None and self.bounds is not None:  # Y in units of the bounds
-            drift = drift + (self.B * self.bounds / self.omega) @ Y
-        monotone = self.W @ X + (self.W @ X).T
+            drift = drift + (B * self.bounds / self.omega) @ Y
+        monotone = W @ X + (W @ X).T
         decrease = drift + drift.T + (options.alpha / self.omega) * monotone + SLACK * X
         if options.d_max:
-            decrease = decrease + self.B @ self.B.T / (tau * self.omega) + (tau * options.d_max**2 / self.omega) * X
-        constraints: list[Any] = [monotone >> 2 * options.beta * (1 + SLACK) * X]
-        constraints += [row @ X @ row <= 1.0 for row in self._sizes(self.S)]
+            decrease = decrease + B @ B.T / (tau * self.omega) + (tau * options.d_max**2 / self.omega) * X
+        constraints: list[Any] = [
+            monotone >> 2 * options.beta * (1 + SLACK) * X,
+            X >> np.eye(n) / largest,
+            X << np.eye(n) * largest,
+        ]
+        constraints += [row @ X @ row <= 1.0 for row in self._sizes(S)]
         if Y is not None:
-            constraints += [
-                cp.bmat([[np.eye(1), Y[i : i + 1]], [Y[i : i + 1].T, X]]) >> 0 for i in range(self.system.m)
-            ]
+            rows = [Y[i : i + 1] for i in range(self.system.m)]
+            constraints += [cp.bmat([[np.eye(1), row], [row.T, X]]) >> 0 for row in rows]
         if options.psi:  # psi I in the coordinates of x, by a Schur complement
-            SX = self.S @ X
+            SX = S @ X
             constraints.append(cp.bmat([[decrease, SX.T], [SX, -(self.omega / options.psi) * np.eye(n)]]) << 0)
         else:
             constraints.append(decrease << 0)
         solve(cp.Problem(cp.Maximize(cp.log_det(X)), constraints), self.what)
-        method = "inverse (10)-(11)" if Y is None else "direct (9)"
-        Y_value = None if Y is None or self.bounds is None else self.bounds[:, None] * np.asarray(Y.value)
-        return self._made(np.asarray(X.value), Y_value, tau, method)
+        if Y is None or self.bounds is None:
+            return np.asarray(X.value), None
+        return np.asarray(X.value), self.bounds[:, None] * np.asarray(Y.value)
 
-    def _made(self, X: Array, Y: Array | None, tau: float, method: str) -> Design:
-        o, inverse = self.options, np.linalg.inv(self.S)
+    def _made(self, S: Array, X: Array, Y: Array | None, tau: float, method: str) -> Design:
+        o, inverse = self.options, np.linalg.inv(S)
         P = inverse.T @ np.linalg.inv(X) @ inverse
         system = self.system
         if Y is not None:

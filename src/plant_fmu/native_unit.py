@@ -11,6 +11,7 @@ from pathlib import Path
 from fmu_export.model_description import ModelExchange
 from fmu_export.native_unit import NativeUnit
 from fmu_export.variables import Value
+from rotary_pendulum.c_header import HEADER
 
 from .interface import INTERFACE, MOTOR_MODELS
 from .unit import QubePlant
@@ -56,6 +57,7 @@ NATIVE = NativeUnit(
     folder=Path(__file__).parent / "native",
     stem="qube_servo2",
     prefix="qube",
+    common=(HEADER,),
     model_exchange=model_exchange,
     largest_model_exchange=_model_exchange(inductance=True),
 )

@@ -11,6 +11,7 @@ from fmpy import extract
 
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.homogeneity import bisection_update
+from ihc_fmu.laws import block_state
 from ihc_fmu.pendulum.interface import INTERFACE, matrix, upper_triangle, vector
 from ihc_fmu.pendulum.native_unit import NATIVE
 from tests.fmu_export.conftest import Host
@@ -125,6 +126,6 @@ def test_norm_and_laws_are_right_for_states_of_every_size(mu, discretization, co
         assert abs(found["voltage"] - u) <= TOLERANCE * abs(u)
         interval = (A_MIN, B_MAX)
         for _ in range(2):
-            interval = bisection_update(unit._chain_state(list(x)).polynomial, mu, interval, A_MIN, B_MAX, 60)
+            interval = bisection_update(block_state(unit.design, list(x)).polynomial, mu, interval, A_MIN, B_MAX, 60)
         assert interval[1] == pytest.approx(found["homogeneous_norm_used"], rel=TOLERANCE)
     native.slave.freeInstance()

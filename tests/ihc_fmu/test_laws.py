@@ -10,138 +10,150 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from ihc_fmu import homogeneity, laws
-from ihc_fmu.companion import chain_form, generator, weights
+from ihc_fmu.companion import chain_form
 from ihc_fmu.sliding_mode import fitted_smc, sliding_mode_design
+from tests.ihc_fmu.blocks import random_system
 
 examples = settings(deadline=None, derandomize=True, max_examples=150)
+SIZES = [(1, 1), (1, 3), (2, 1), (2, 2), (3, 2), (4, 1), (4, 2), (5, 3), (6, 1), (6, 2), (9, 4), (16, 8)]
 
 
 class Law:
-    """A random system with a stabilizing gain (poles -1, -2, ...) and everything that the laws take."""
+    """A random system, its prepared design and a state."""
 
-    def __init__(self, n, seed=0):
-        rng: Any = np.random.default_rng([n, seed])
-        self.A, self.b = rng.normal(size=(n, n)), rng.normal(size=n)
-        form = chain_form(self.A, self.b)
-        self.Phi: Any = form.Phi
-        self.row: Any = form.row
-        self.kz: Any = -np.poly(-np.arange(1.0, n + 1))[:0:-1]
-        self.k = self.kz @ self.Phi
-        self.k_lin = self.k - self.row
-        self.row_z: Any = np.linalg.solve(self.Phi.T, self.row)
-        self.x = rng.normal(size=n)
-        self.z = self.Phi @ self.x
+    def __init__(self, n, m, mu=1.0, seed=0):
+        self.system = random_system(n, m, mu, seed)
+        self.design = self.system.design()
+        self.x: Any = np.random.default_rng([n, m, seed, 1]).normal(size=n)
+        self.z: Any = self.system.T @ self.x
 
-    def gain(self, mu, r):
-        """K(r) = r^(1-mu) k d(-ln r) - row, eq. (8), by the matrix exponential."""
-        return r ** (1 - mu) * self.k @ expm(-generator(self.Phi, mu) * log(r)) - self.row
+    def gain(self, r):
+        """K_r = K_0 + r^(1-mu) (K - K_0) d(-ln r), eq. (8), by the matrix exponential."""
+        s = self.system
+        return s.K_0 + r ** (1 - s.mu) * (s.K - s.K_0) @ expm(-s.generator() * log(r))
 
-    def explicit(self, mu, r):
-        return laws.implicit_homogeneous(self.k_lin, self.row, self.kz, mu, r, self.x, self.z)
+    def explicit(self, r):
+        return np.array(laws.implicit_homogeneous(self.design, r, self.x, self.z))
 
-    def semi_implicit(self, mu, r, h):
-        return laws.implicit_homogeneous_semi(self.kz, self.row_z, mu, r, h, self.z)
+    def semi_implicit(self, r, h):
+        return np.array(laws.implicit_homogeneous_semi(self.design, r, h, self.z))
 
 
 @st.composite
-def chain_laws(draw):
-    """(mu, kz, row, Pz, z) in chain coordinates, n = 2..6, the dilation monotone for Pz."""
-    n, mu = draw(st.integers(2, 6)), draw(st.floats(0.01, 1.0))
-    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
-    L = rng.normal(size=(n, n))
-    w = weights(n, mu)
-    Pz = (L @ L.T + np.eye(n)) / (w[:, None] + w)
-    return mu, rng.normal(size=n), rng.normal(size=n), Pz, rng.normal(size=n)
+def random_laws(draw):
+    n, m = draw(st.integers(1, 16)), draw(st.integers(1, 8))
+    return Law(n, m, draw(st.floats(0.01, 1.0)), draw(st.integers(0, 10**6)))
+
+
+def norm(law, z):
+    mu = law.design.mu
+    return homogeneity.homogeneous_norm(homogeneity.norm_polynomial(law.design.Pz, z, law.design.exponents, mu), mu)
 
 
 @examples
-@given(chain_laws(), st.floats(-3, 3))
-def test_chain_control_is_homogeneous_of_degree_one_minus_mu(law, s):
-    """u + row x at d(s) x is e^((1-mu) s) times that at x."""
-    mu, kz, row, Pz, z = law
+@given(random_laws(), st.floats(-3, 3))
+def test_homogeneous_part_is_homogeneous_of_degree_one_minus_mu(law, s):
+    """u - K_0 x at d(s) x is e^((1-mu) s) times that at x."""
+    mu, K_0 = law.system.mu, law.system.K_0
 
-    def chain_control(z):
-        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, z, mu), mu)
-        return laws.implicit_homogeneous(kz - row, row, kz, mu, r, z, z) + row @ z
+    def homogeneous_part(z):
+        x = np.linalg.solve(law.system.T, z)
+        return np.array(laws.implicit_homogeneous(law.design, norm(law, z), x, z)) - K_0 @ x
 
-    dilated = np.exp(s * weights(len(z), mu)) * z
-    rounding = (np.abs(kz) + np.abs(row)) @ (np.abs(dilated) + exp((1 - mu) * s) * np.abs(z))
-    expected = exp((1 - mu) * s) * chain_control(z)
-    assert chain_control(dilated) == pytest.approx(expected, rel=1e-10, abs=1e-12 * rounding)
+    dilated = np.exp(s * (1 + mu * np.array(law.system.e))) * law.z
+    sizes = np.abs(law.system.K) + np.abs(K_0)
+    rounding = np.linalg.norm(sizes) * (np.linalg.norm(dilated) + exp((1 - mu) * s) * np.linalg.norm(law.z))
+    expected = exp((1 - mu) * s) * homogeneous_part(law.z)
+    np.testing.assert_allclose(homogeneous_part(dilated), expected, rtol=1e-9, atol=1e-12 * float(rounding))
 
 
 @examples
-@given(chain_laws(), st.integers(1, 8))
+@given(random_laws(), st.integers(1, 8))
 def test_bounds_of_one_give_the_linear_law_to_the_last_bit(law, j_max):
-    mu, kz, row, Pz, z = law
-    k_lin = kz - row
-    c = homogeneity.norm_polynomial(Pz, z, mu)
-    _, r = homogeneity.bisection_update(c, mu, (1.0, 1.0), 1.0, 1.0, j_max)
-    assert laws.implicit_homogeneous(k_lin, row, kz, mu, r, z, z) == laws.linear(k_lin, z)
+    search = homogeneity.NormSearch(False, 1.0, 1.0, j_max)
+    c = homogeneity.norm_polynomial(law.design.Pz, law.z, law.design.exponents, law.design.mu)
+    r, _ = homogeneity.norm_in_law(search, c, law.design.mu, norm(law, law.z), (1.0, 1.0))
+    assert laws.implicit_homogeneous(law.design, r, law.x, law.z) == laws.linear(law.design.K, law.x)
 
 
 @examples
-@given(chain_laws())
+@given(random_laws())
 def test_laws_coincide_on_the_unit_sphere(law):
-    """The premise of eq. (10): u = k_lin x where ||x||_d = 1."""
-    mu, kz, row, Pz, z = law
-    y = z / np.sqrt(z @ Pz @ z)
-    r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, y, mu), mu)
-    u = laws.implicit_homogeneous(kz - row, row, kz, mu, r, y, y)
-    assert u == pytest.approx((kz - row) @ y, rel=1e-11, abs=1e-12)
+    """The premise of eq. (10): u = K x where ||x||_d = 1."""
+    x = law.x / np.sqrt(law.x @ law.system.P @ law.x)
+    z = law.system.T @ x
+    u = laws.implicit_homogeneous(law.design, norm(law, z), x, z)
+    np.testing.assert_allclose(u, law.system.K @ x, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize(("n", "m"), SIZES)
+def test_degree_zero_is_the_linear_law(n, m):
+    """mu = 0: the dilation is the standard one, its gains do not depend on the norm."""
+    law = Law(n, m, mu=0.0)
+    for r in (0.2, 5.0):
+        np.testing.assert_allclose(law.explicit(r), law.system.K @ law.x, rtol=1e-11)
 
 
 @pytest.mark.parametrize("mu", [0.01, 0.5, 1.0])
-@pytest.mark.parametrize("n", range(1, 7))
-def test_law_is_eq_8_with_the_matrix_exponential(n, mu):
-    law = Law(n)
+@pytest.mark.parametrize(("n", "m"), SIZES)
+def test_law_is_eq_8_with_the_matrix_exponential(n, m, mu):
+    law = Law(n, m, mu)
     for r in (0.2, 0.88, 3.0):
-        assert law.explicit(mu, r) == pytest.approx(law.gain(mu, r) @ law.x, rel=1e-8)
+        np.testing.assert_allclose(law.explicit(r), law.gain(r) @ law.x, rtol=1e-8)
+
+
+@pytest.mark.parametrize("mu", [0.01, 0.5, 1.0])
+@pytest.mark.parametrize(("n", "m"), SIZES)
+def test_semi_implicit_law_is_the_dense_solution(n, m, mu):
+    """u = K_r (I - h (A + B K_r))^-1 x."""
+    law = Law(n, m, mu)
+    for r in (0.6, 1.0, 2.0):
+        for h in (1e-4, 1e-2, 0.5):
+            K_r = law.gain(r)
+            u = K_r @ np.linalg.solve(np.eye(n) - h * (law.system.A + law.system.B @ K_r), law.x)
+            np.testing.assert_allclose(law.semi_implicit(r, h), u, rtol=1e-8, atol=1e-8 * float(np.linalg.norm(u)))
+
+
+@pytest.mark.parametrize(("n", "m"), SIZES)
+def test_semi_implicit_law_tends_to_the_explicit_one_with_order_one(n, m):
+    law, r = Law(n, m), 0.9
+    errors = [np.linalg.norm(law.semi_implicit(r, h) - law.explicit(r)) for h in (2e-6, 1e-6)]
+    assert log(errors[0] / errors[1]) / log(2) == pytest.approx(1.0, abs=0.02)
+
+
+def test_semi_implicit_law_refuses_a_singular_step():
+    """x' = x + u with K = 0 and h = 1: I - h (A + B K) = 0."""
+    scalar = [[1.0]]
+    one = laws.block_design([0], scalar, [[0.0]], scalar, [[0.0]], [[-1.0]], scalar, 1.0)
+    with pytest.raises(ZeroDivisionError):
+        laws.implicit_homogeneous_semi(one, 1.0, 1.0, [1.0])
+    unit = [[1.0, 0.0], [0.0, 1.0]]
+    zero, minus = [[0.0, 0.0]] * 2, [[-1.0, 0.0], [0.0, -1.0]]
+    two = laws.block_design([0, 0], unit, zero, unit, zero, minus, unit, 1.0)
+    with pytest.raises(ValueError, match="I - g H must be regular"):
+        laws.implicit_homogeneous_semi(two, 1.0, 1.0, [1.0, 1.0])
 
 
 @pytest.mark.parametrize("name", ["hcs_demo", "paper_printed"])
 def test_norm_and_controls_are_those_of_the_authors_toolbox(hcs_cases, name):
     case = hcs_cases[name]
-    k_lin: Any = np.array(case["Klin"])
     form = chain_form(case["A"], case["B"])
-    kz: Any = np.linalg.solve(form.Phi.T, k_lin + form.row)
-    row: Any = form.row
-    row_z: Any = np.linalg.solve(form.Phi.T, row)
-    Pz = homogeneity.to_chain(form.Phi.tolist(), case["P"])
     assert len(case["vectors"]) == 100
     for v in case["vectors"]:
         assert v["monotone"]
         mu, x = -v["mu"], v["x"]
+        design = laws.chain_design(form.Phi.tolist(), form.row.tolist(), case["Klin"], case["P"], mu)
         z = form.Phi @ x
-        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, z, mu), mu)
+        r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(design.Pz, z, design.exponents, mu), mu)
         clamped = min(1.0, max(0.3, r))
         found = (
             r,
-            laws.implicit_homogeneous(k_lin, row, kz, mu, r, x, z),
-            laws.implicit_homogeneous(k_lin, row, kz, mu, clamped, x, z),
-            laws.implicit_homogeneous_semi(kz, row_z, mu, clamped, 1e-3, z),
+            *laws.implicit_homogeneous(design, r, x, z),
+            *laws.implicit_homogeneous(design, clamped, x, z),
+            *laws.implicit_homogeneous_semi(design, clamped, 1e-3, z),
         )
         expected = [v[key] for key in ("hnorm", "u_e_hpc", "u_e_hpc_clamp_0.3_1", "u_si_hpc_h1e-3_clamp_0.3_1")]
         assert found == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("mu", [0.01, 0.5, 1.0])
-@pytest.mark.parametrize("n", range(1, 7))
-def test_semi_implicit_law_is_the_dense_solution(n, mu):
-    """u = K (I - h (A + b K))^-1 x."""
-    law = Law(n)
-    for r in (0.3, 1.0, 2.0):
-        for h in (1e-4, 1e-2, 0.5):
-            K = law.gain(mu, r)
-            ahead = np.linalg.solve(np.eye(n) - h * (law.A + np.outer(law.b, K)), law.x)
-            assert law.semi_implicit(mu, r, h) == pytest.approx(K @ ahead, rel=1e-8)
-
-
-@pytest.mark.parametrize("n", range(1, 7))
-def test_semi_implicit_law_tends_to_the_explicit_one_with_order_one(n):
-    law, mu, r = Law(n), 1.0, 0.9
-    errors = [abs(law.semi_implicit(mu, r, h) - law.explicit(mu, r)) for h in (2e-6, 1e-6)]
-    assert log(errors[0] / errors[1]) / log(2) == pytest.approx(1.0, abs=0.02)
 
 
 def test_sliding_mode_switches_by_rho_across_its_surface_and_is_linear_on_it():

@@ -17,8 +17,9 @@ from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.pendulum.interface import INTERFACE
 from ihc_fmu.pendulum.native_unit import NATIVE
 from ihc_fmu.pendulum.start_values import design_values, kalman_values
-from ihc_fmu.pendulum.supervisor import Fault, Mode
+from ihc_fmu.pendulum.supervisor import Mode
 from ihc_fmu.pendulum.unit import IhcControllerUnit
+from ihc_fmu.sampled_unit import Fault
 from plant_fmu.native_unit import NATIVE as PLANT
 from plant_fmu.unit import QubePlant
 from tests.fmu_export.conftest import Host

@@ -1,404 +1,75 @@
 #include "ihc_controller.h"
 
-#include <float.h>
-#include <math.h>
-#include <stdlib.h>
+#include "rotary_pendulum.h"
 
 enum { N = IHC_ORDER };
 
-enum {
-    FAR = 100,   /* binary orders of magnitude between r and a norm beyond which N(r) is taken for 0 or infinite */
-    REFINEMENTS = 3,
-    SHIFT = 600  /* states beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times them */
-};
-
 static const double PI = 3.14159265358979323846;
 static const double TURN = 2.0 * 3.14159265358979323846;
-static const double LEAST_GUESS = 1e-12;   /* a guess of the norm is used between these two [1] */
-static const double LARGEST_GUESS = 1e12;
-static const double LEAST_ORDINARY = 0x1p-200; /* chain coordinates between these two need no scaling ... */
-static const double MOST_ORDINARY = 0x1p200;
-static const double NEGLIGIBLE = 0x1p-500; /* ... and this small they are nothing beside others near 1 */
-static const double UNBOUNDED = 1e9;       /* stands for the logarithm of a norm that is not known yet */
-static const double LEAST = 0x1p-1000;          /* smaller measurements and filtered values count as 0 ... */
-static const double LEAST_ESTIMATE = 0x1p-300;  /* ... and smaller estimates of an observer */
-static const double SMALL = 0x1p-600, LARGE = 0x1p600; /* 2^-SHIFT, 2^SHIFT */
-static const double MOST = 0x1p400;        /* beyond any voltage limit */
-static const double CONVERGED = 1e-9;      /* a Newton step so small leaves an error of its square */
-static const double BIAS_DECAY = 1e-3;     /* rate at which the Kalman filter forgets the bias [1/s] */
-static const double REST_VELOCITY = 0.05;  /* the pendulum counts as at rest below this [rad/s] ... */
-static const double REST_COSINE = -0.999;  /* ... within this of hanging */
+static const double BIAS_DECAY = 1e-3;         /* rate at which the Kalman filter forgets the bias [1/s] */
+static const double REST_VELOCITY = 0.05;      /* the pendulum counts as at rest below this [rad/s] ... */
+static const double REST_COSINE = -0.999;      /* ... within this of hanging */
 
-static double clamp(double value, double low, double high)
+/* First-order SMC, u = k x - rho sign(c x). */
+static double sliding_mode(const ihc_params *p, const double x[N])
 {
-    const double above = value > low ? value : low;
-    return above < high ? above : high;
-}
-
-/* The value, 0 where it is smaller than `least`: on subnormal numbers processors are many times slower. */
-static double flushed(double value, double least)
-{
-    return fabs(value) > 0.0 && fabs(value) < least ? 0.0 : value;
-}
-
-/* The value, of which the compiler knows nothing: it then computes no function or quotient before the argument has been
- * found admissible, which it else does, to discard the result. A host may have unmasked floating-point exceptions. */
-static double opaque(double value)
-{
-    volatile const double same = value;
-    return same;
-}
-
-static double dot(const double a[N], const double b[N])
-{
-    double sum = 0.0;
-    for (int i = 0; i < N; i++) {
-        sum += a[i] * b[i];
-    }
-    return sum;
-}
-
-#define CANCELLED 1e-3      /* of its terms' sizes: a smaller sum is added anew in twice the precision */
-#define MOST_EXACT 0x1p900  /* sum of the sizes of products up to which their factors are split */
-#define SPLIT 134217729.0   /* 2^27 + 1: halves a double's digits (Dekker 1971) */
-
-static double high_digits(double a)
-{
-    const double t = SPLIT * a;
-    return t - (t - a);
-}
-
-/* The error of the rounded product a b, exactly. */
-static double product_error(double a, double b, double product)
-{
-    const double a_high = high_digits(a), b_high = high_digits(b);
-    const double a_low = a - a_high, b_low = b - b_high;
-    return a_low * b_low - (((product - a_high * b_high) - a_low * b_high) - a_high * b_low);
-}
-
-/* a' b to full precision although its terms cancel: near an axis of the dilation chain coordinates are far smaller than
- * their terms, and the norm magnifies them. Dot2 of Ogita, Rump and Oishi (2005); rounding as written, without fused
- * operations. */
-static double exact_dot(const double a[N], const double b[N])
-{
-    double total = 0.0, size = 0.0, rest = 0.0;
-    for (int i = 0; i < N; i++) {
-        const double term = a[i] * b[i];
-        total += term;
-        size += fabs(term);
-    }
-    if (!(CANCELLED * size > fabs(total)) || size > MOST_EXACT) {
-        return total;
-    }
-    total = 0.0;
-    for (int i = 0; i < N; i++) {
-        const double term = a[i] * b[i];
-        const double error = product_error(a[i], b[i], term);
-        const double after = total + term, part = after - total;
-        rest += ((total - (after - part)) + (term - part)) + error;
-        total = after;
-    }
-    return total + rest;
-}
-
-/* ---- Canonical homogeneous norm ---------------------------------------------------------------------------------- */
-
-/* floor(x/4 + 1/2) as a whole number, for an x of moderate size. */
-static int nearest_fourth(double x)
-{
-    return (int)floor(clamp(x, -1e6, 1e6) / 4.0 + 0.5);
-}
-
-/* d(-e ln 2) 2^shift z and e, a multiple of 4 near the binary logarithm of the norm; a state that is not finite stays. */
-static int scale(const double Pz[N][N], const double z[N], double mu, int shift, double scaled[N])
-{
-    double largest = -INFINITY;
-    int finite = 1, e = 0;
-    for (int i = 0; i < N; i++) {
-        int of_z = 0, of_P = 0;
-        scaled[i] = z[i];
-        finite = finite && isfinite(z[i]);
-        if (finite && z[i] != 0.0) {
-            frexp(z[i], &of_z);
-            frexp(Pz[i][i], &of_P);
-            largest = fmax(largest, (of_z + shift + 0.5 * of_P) / (1.0 + mu * (N - 1 - i)));
-        }
-    }
-    if (!finite || largest == -INFINITY) {
-        return 0;
-    }
-    e = 4 * nearest_fourth(largest);
-    for (int i = 0; i < N; i++) {
-        const double power = shift - e * (1.0 + mu * (N - 1 - i));
-        const double whole = floor(power);
-        const double entry = ldexp(z[i] * pow(2.0, power - whole), (int)clamp(whole, -1e6, 1e6));
-        scaled[i] = fabs(entry) >= NEGLIGIBLE ? entry : 0.0;
-    }
-    return e;
-}
-
-static int is_ordinary(const double z[N])
-{
-    for (int i = 0; i < N; i++) {
-        if (z[i] != 0.0 && !(fabs(z[i]) >= LEAST_ORDINARY && fabs(z[i]) <= MOST_ORDINARY)) {
-            return 0;
-        }
-    }
-    return 1;
-}
-
-void ihc_norm_polynomial(const double Pz[N][N], const double z[N], double mu, int shift, ihc_polynomial *p)
-{
-    double scaled[N];
-    p->exponent = 0;
-    if (shift != 0 || !is_ordinary(z)) {
-        p->exponent = scale(Pz, z, mu, shift, scaled);
-        z = scaled;
-    }
-    for (int m = 0; m < IHC_COEFFICIENTS; m++) {
-        p->c[m] = 0.0;
-    }
-    for (int i = 0; i < N; i++) {
-        p->c[2 * (N - 1 - i)] += Pz[i][i] * z[i] * z[i];
-        for (int j = i + 1; j < N; j++) {
-            p->c[2 * N - 2 - i - j] += 2.0 * Pz[i][j] * z[i] * z[j];
-        }
-    }
-}
-
-/* s = r^-mu; the division where it is one is faster and exact. */
-static double inverse_power(double r, double mu)
-{
-    return mu == 1.0 ? 1.0 / r : pow(r, -mu);
-}
-
-/* Binary order of magnitude of a positive number: value = m 2^order, 0.5 <= m < 1. */
-static int order_of(double value)
-{
-    int order = 0;
-    frexp(value, &order);
-    return order;
-}
-
-double ihc_squared_norm(const ihc_polynomial *p, double mu, double r)
-{
-    if (p->exponent != 0) {
-        const int distance = order_of(r) - p->exponent;
-        if (distance > FAR || distance < -FAR) {
-            return distance > 0 ? 0.0 : INFINITY;
-        }
-        r = ldexp(r, -p->exponent);
-    }
-    const double s = inverse_power(r, mu);
-    double total = 0.0;
-    for (int m = IHC_COEFFICIENTS - 1; m >= 0; m--) {
-        total = total * s + p->c[m];
-    }
-    return total / (r * r);
-}
-
-/* The start of the search in the coordinates of the polynomial; 1 where the guess is of no use. */
-static double scaled_guess(double guess, int exponent)
-{
-    if (exponent != 0) {
-        const int near = guess > 0.0 && guess < INFINITY && abs(order_of(guess) - exponent) < FAR;
-        guess = near ? ldexp(guess, -exponent) : 1.0;
-    }
-    return guess > LEAST_GUESS && guess < LARGEST_GUESS ? guess : 1.0;
-}
-
-/* The root sigma of ln N(e^sigma) = 0, as e^sigma. */
-static double root_of(const double c[IHC_COEFFICIENTS], double mu, double guess)
-{
-    double low = -UNBOUNDED, high = UNBOUNDED, last = UNBOUNDED;
-    double sigma = log(opaque(guess));
-    for (int k = 0; k < IHC_NEWTON_LIMIT; k++) {
-        const double s = exp(-mu * sigma);
-        double value = 0.0, weighted = 0.0;
-        for (int m = IHC_COEFFICIENTS - 1; m >= 0; m--) {
-            weighted = weighted * s + value;
-            value = value * s + c[m];
-        }
-        if (!(value > 0.0 && value < INFINITY)) {
-            return NAN;
-        }
-        const double error = log(opaque(value)) - 2.0 * sigma;
-        if (error > 0.0) {
-            low = sigma;
-        } else {
-            high = sigma;
-        }
-        const double slope = 2.0 + mu * s * weighted / value;
-        const double step = slope > 0.0 ? error / opaque(slope > 0.0 ? slope : 1.0) : UNBOUNDED;
-        if (fabs(step) <= CONVERGED) {
-            return exp(sigma + step);
-        }
-        double following = sigma + clamp(step, -4.0, 4.0);
-        if (low > -UNBOUNDED && high < UNBOUNDED
-            && !(low < following && following < high && fabs(following - sigma) <= 0.5 * last)) {
-            following = 0.5 * (low + high);
-        }
-        last = fabs(following - sigma);
-        if (last <= 1e-15 * fmax(1.0, fabs(sigma))) {
-            return exp(following);
-        }
-        sigma = following;
-    }
-    return exp(sigma);
-}
-
-double ihc_homogeneous_norm(const ihc_polynomial *p, double mu, double guess)
-{
-    double size = 0.0;
-    for (int m = 0; m < IHC_COEFFICIENTS; m++) {
-        if (!isfinite(p->c[m])) {
-            return NAN;
-        }
-        size = fabs(p->c[m]) > size ? fabs(p->c[m]) : size;
-    }
-    if (size == 0.0) {
-        return 0.0;
-    }
-    const double root = root_of(p->c, mu, scaled_guess(guess, p->exponent));
-    if (p->exponent == 0 || isnan(root)) {
-        return root;
-    }
-    return order_of(root) + p->exponent > DBL_MAX_EXP ? DBL_MAX : ldexp(root, p->exponent);
-}
-
-void ihc_bisection_update(const ihc_polynomial *p, double mu, double interval[2], double a_min, double b_max,
-                          int j_max)
-{
-    double a = interval[0], b = interval[1];
-    if (ihc_squared_norm(p, mu, b) > 1.0) {
-        a = b;
-        b = fmin(2.0 * b, b_max);
-    } else if (ihc_squared_norm(p, mu, a) < 1.0) {
-        b = a;
-        a = fmax(a / 2.0, a_min);
-    } else {
-        for (int j = 0; j < j_max && j < IHC_MAX_J; j++) {
-            const double middle = (a + b) / 2.0;
-            if (ihc_squared_norm(p, mu, middle) < 1.0) {
-                b = middle;
-            } else {
-                a = middle;
-            }
-        }
-    }
-    interval[0] = a;
-    interval[1] = b;
-}
-
-/* ---- Laws -------------------------------------------------------------------------------------------------------- */
-
-double ihc_law_linear(const double k_lin[N], const double x[N])
-{
-    return dot(k_lin, x);
-}
-
-double ihc_law_sliding_mode(const double c[N], const double k[N], double rho, const double x[N])
-{
-    const double surface = dot(c, x);
-    const double switching = surface > 0.0 ? rho : surface < 0.0 ? -rho : 0.0;
-    return dot(k, x) - switching;
-}
-
-/* kz_i s^(n-i+1), s = r^-mu. */
-static void chain_gains(const double kz[N], double mu, double r, double gains[N])
-{
-    const double s = inverse_power(r, mu);
-    double power = s;
-    for (int i = N - 1; i >= 0; i--) {
-        gains[i] = kz[i] * power;
-        power *= s;
-    }
-}
-
-double ihc_law_homogeneous(const double k_lin[N], const double row[N], const double kz[N], double mu, double r,
-                           const double x[N], const double z[N])
-{
-    double gains[N], change = 0.0;
-    chain_gains(kz, mu, r, gains);
-    if (r > 1.0) { /* as below the gains fade, and k_lin x would cancel */
-        return dot(gains, z) - dot(row, x);
-    }
-    for (int i = 0; i < N; i++) {
-        change += (gains[i] - kz[i]) * z[i];
-    }
-    return dot(k_lin, x) + change;
-}
-
-double ihc_law_semi_implicit(const double kz[N], const double row_z[N], double mu, double r, double h, const double z[N])
-{
-    double g[N], f[N], powers[N], y[N];
-    chain_gains(kz, mu, r, g);
-    f[N - 1] = z[N - 1];
-    powers[N - 1] = h;
-    for (int i = N - 2; i >= 0; i--) {
-        f[i] = z[i] + h * f[i + 1];
-        powers[i] = h * powers[i + 1];
-    }
-    const double v = dot(g, f) / (1.0 - dot(g, powers));
-    for (int i = 0; i < N; i++) {
-        y[i] = f[i] + powers[i] * v;
-    }
-    return v - dot(row_z, y);
+    const double surface = dot(p->smc_c, x, N);
+    const double switching = surface > 0.0 ? p->smc_rho : surface < 0.0 ? -p->smc_rho : 0.0;
+    return dot(p->smc_k, x, N) - switching;
 }
 
 /* ---- Nominal model, eq. (5) in lumped numbers -------------------------------------------------------------------- */
 
-static void accelerations(const ihc_params *m, double delta, double theta_dot, double delta_dot, double voltage,
-                          double *theta_ddot, double *delta_ddot)
+static pendulum_coefficients nominal_pendulum(const ihc_params *m)
 {
-    const double s = sin(delta), c = cos(delta);
-    const double pull = m->nominal_swing_inertia * s * c;
-    double arm = m->nominal_torque_per_volt * voltage
-        - (m->nominal_arm_damping + m->nominal_motor_damping + 2.0 * pull * delta_dot) * theta_dot;
-    arm -= m->nominal_coupling * s * delta_dot * delta_dot;
-    const double pendulum = (m->nominal_gravity_torque * s - m->nominal_pendulum_damping * delta_dot)
-        + pull * theta_dot * theta_dot;
-    const double inertia = m->nominal_arm_inertia + m->nominal_swing_inertia * s * s;
-    const double mixed = m->nominal_coupling * c;
-    const double determinant = inertia * m->nominal_pendulum_inertia - mixed * mixed;
-    *theta_ddot = (m->nominal_pendulum_inertia * arm + mixed * pendulum) / determinant;
-    *delta_ddot = (inertia * pendulum + mixed * arm) / determinant;
+    pendulum_coefficients c;
+    c.J_11 = m->nominal_arm_inertia;
+    c.J_22 = m->nominal_pendulum_inertia;
+    c.zeta_4 = m->nominal_swing_inertia;
+    c.varpi_2 = m->nominal_coupling;
+    c.gravity = m->nominal_gravity_torque;
+    c.D_r = m->nominal_arm_damping + m->nominal_motor_damping;
+    c.T_r = 0.0;
+    c.D_p = m->nominal_pendulum_damping;
+    return c;
 }
 
 /* The voltage under which the arm accelerates by theta_ddot: inverse dynamics. */
 static double voltage_for(const ihc_params *m, double delta, double theta_dot, double delta_dot, double theta_ddot)
 {
-    const double s = sin(delta), c = cos(delta);
-    const double pull = m->nominal_swing_inertia * s * c;
-    const double pendulum = m->nominal_gravity_torque * s - m->nominal_pendulum_damping * delta_dot
-        + pull * theta_dot * theta_dot;
-    const double delta_ddot = (pendulum + m->nominal_coupling * c * theta_ddot) / m->nominal_pendulum_inertia;
-    double torque = (m->nominal_arm_inertia + m->nominal_swing_inertia * s * s) * theta_ddot
-        - m->nominal_coupling * c * delta_ddot;
-    torque += (m->nominal_arm_damping + m->nominal_motor_damping + 2.0 * pull * delta_dot) * theta_dot;
-    torque += m->nominal_coupling * s * delta_dot * delta_dot;
-    return torque / m->nominal_torque_per_volt;
+    const pendulum_coefficients c = nominal_pendulum(m);
+    return pendulum_arm_torque(&c, delta, theta_dot, delta_dot, theta_ddot) / m->nominal_torque_per_volt;
+}
+
+/* The nominal pendulum under a held torque of its motor. */
+typedef struct {
+    pendulum_coefficients c;
+    double torque;
+} held_pendulum;
+
+static void held_rate(const void *model, const double x[PENDULUM_MOST_STATES], double dx[PENDULUM_MOST_STATES])
+{
+    const held_pendulum *pendulum = model;
+    dx[0] = x[2];
+    dx[1] = x[3];
+    pendulum_accelerations(&pendulum->c, x[1], x[2], x[3], pendulum->torque, 0.0, &dx[2], &dx[3]);
+    dx[4] = 0.0; /* no motor's state */
 }
 
 /* The state after h under a held voltage: one classical Runge-Kutta step. */
 static void predict(const ihc_params *m, const double x[4], double voltage, double h, double y[4])
 {
-    const double half = 0.5 * h, sixth = h / 6.0;
-    double a1, b1, a2, b2, a3, b3, a4, b4;
-    accelerations(m, x[1], x[2], x[3], voltage, &a1, &b1);
-    const double v2 = x[2] + half * a1, w2 = x[3] + half * b1;
-    accelerations(m, x[1] + half * x[3], v2, w2, voltage, &a2, &b2);
-    const double v3 = x[2] + half * a2, w3 = x[3] + half * b2;
-    accelerations(m, x[1] + half * w2, v3, w3, voltage, &a3, &b3);
-    const double v4 = x[2] + h * a3, w4 = x[3] + h * b3;
-    accelerations(m, x[1] + h * w3, v4, w4, voltage, &a4, &b4);
-    y[0] = x[0] + sixth * (x[2] + 2.0 * (v2 + v3) + v4);
-    y[1] = x[1] + sixth * (x[3] + 2.0 * (w2 + w3) + w4);
-    y[2] = x[2] + sixth * (a1 + 2.0 * (a2 + a3) + a4);
-    y[3] = x[3] + sixth * (b1 + 2.0 * (b2 + b3) + b4);
+    const held_pendulum pendulum = {nominal_pendulum(m), m->nominal_torque_per_volt * voltage};
+    double state[PENDULUM_MOST_STATES] = {x[0], x[1], x[2], x[3], 0.0};
+    pendulum_rk4_step(held_rate, &pendulum, state, h);
+    for (int i = 0; i < 4; i++) {
+        y[i] = state[i];
+    }
 }
 
 /* ---- Estimators -------------------------------------------------------------------------------------------------- */
+
+enum { BISECTIONS = 100 };
 
 /* Steady-state Kalman gains of one angle with white acceleration, see velocity.alpha_beta_gains. */
 static void alpha_beta_gains(double acceleration_noise, double resolution, double h, double gains[2])
@@ -406,7 +77,7 @@ static void alpha_beta_gains(double acceleration_noise, double resolution, doubl
     const double variance = resolution * resolution / 12.0 * (1e-3 / h);
     const double index = acceleration_noise * (h * h * h) / variance;
     double low = 0.0, high = fmin(sqrt(index), 3.0 - sqrt(3.0)); /* where alpha is 1 */
-    for (int k = 0; k < IHC_BISECTIONS; k++) {
+    for (int k = 0; k < BISECTIONS; k++) {
         const double beta = 0.5 * (low + high);
         const double alpha = 0.5 * (sqrt(8.0 * beta + beta * beta / 3.0) - beta);
         if (beta * beta < (1.0 - alpha) * index) {
@@ -463,149 +134,39 @@ static void kalman_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s
 
 /* ---- Preparation ------------------------------------------------------------------------------------------------- */
 
-/* Solve M X = B in place of B by Gaussian elimination with partial pivoting; 0 where M is singular. */
-static int solve(double M[N][N], double B[N][N], int columns)
+/* The design in chain coordinates: z_i' = z_{i+1}, z_n' = u + row x. */
+static int to_chain(const ihc_params *p, block_design *d)
 {
-    for (int k = 0; k < N; k++) {
-        int pivot = k;
-        for (int i = k + 1; i < N; i++) {
-            if (fabs(M[i][k]) > fabs(M[pivot][k])) {
-                pivot = i;
-            }
-        }
-        for (int j = 0; j < N; j++) {
-            const double m = M[k][j], b = B[k][j];
-            M[k][j] = M[pivot][j];
-            M[pivot][j] = m;
-            B[k][j] = B[pivot][j];
-            B[pivot][j] = b;
-        }
-        const double head = M[k][k];
-        if (head == 0.0 || !isfinite(head)) {
-            return 0;
-        }
-        for (int i = k + 1; i < N; i++) {
-            const double factor = M[i][k] / head;
-            for (int j = k; j < N; j++) {
-                M[i][j] -= factor * M[k][j];
-            }
-            for (int j = 0; j < columns; j++) {
-                B[i][j] -= factor * B[k][j];
-            }
-        }
-    }
-    for (int k = N - 1; k >= 0; k--) {
-        for (int j = 0; j < columns; j++) {
-            double rest = 0.0;
-            for (int i = k + 1; i < N; i++) {
-                rest += M[k][i] * B[i][j];
-            }
-            B[k][j] = (B[k][j] - rest) / M[k][k];
-        }
-    }
-    return 1;
-}
-
-/* B <- Phi^-T B. */
-static int solve_transposed(const ihc_params *p, double B[N][N], int columns)
-{
-    double Phi_t[N][N];
-    for (int i = 0; i < N; i++) {
-        for (int j = 0; j < N; j++) {
-            Phi_t[i][j] = p->Phi[j][i];
-        }
-    }
-    return solve(Phi_t, B, columns);
-}
-
-static void transpose(double M[N][N])
-{
-    for (int i = 0; i < N; i++) {
-        for (int j = i + 1; j < N; j++) {
-            const double m = M[i][j];
-            M[i][j] = M[j][i];
-            M[j][i] = m;
-        }
-    }
-}
-
-/* row_z <- row Phi^-1 by iterative refinement: entries that should be 0 would otherwise outweigh fading gains. */
-static void refine(const ihc_params *p, double row_z[N])
-{
-    for (int k = 0; k < REFINEMENTS; k++) {
-        double residual[N][N] = {{0.0}};
-        for (int i = 0; i < N; i++) {
-            double sum = 0.0;
-            for (int j = 0; j < N; j++) {
-                sum += p->Phi[j][i] * row_z[j];
-            }
-            residual[i][0] = p->row[i] - sum;
-        }
-        solve_transposed(p, residual, 1);
-        for (int i = 0; i < N; i++) {
-            row_z[i] += residual[i][0];
-        }
-    }
-}
-
-/* kz, row_z and Pz = Phi^-T P Phi^-1. */
-static int to_chain(const ihc_params *p, ihc_prepared *q)
-{
-    double gains[N][N] = {{0.0}};
     int entry = 0;
+    d->mu = p->mu;
     for (int i = 0; i < N; i++) {
-        gains[i][0] = p->k_lin[i] + p->row[i];
-        gains[i][1] = p->row[i];
-        for (int j = i; j < N; j++) {
-            q->Pz[i][j] = q->Pz[j][i] = p->P[entry++];
-        }
-    }
-    if (!solve_transposed(p, gains, 2) || !solve_transposed(p, q->Pz, N)) {
-        return 0;
-    }
-    transpose(q->Pz);
-    if (!solve_transposed(p, q->Pz, N)) {
-        return 0;
-    }
-    for (int i = 0; i < N; i++) {
-        q->kz[i] = gains[i][0];
-        q->row_z[i] = gains[i][1];
-    }
-    refine(p, q->row_z);
-    return 1;
-}
-
-static int is_finite(const ihc_prepared *q)
-{
-    int finite = 1;
-    for (int i = 0; i < N; i++) {
-        finite = finite && isfinite(q->kz[i]) && isfinite(q->row_z[i]);
+        d->K[i] = p->k_lin[i];
+        d->K_0[i] = -p->row[i];
+        d->B[i] = i == N - 1 ? 1.0 : 0.0;
         for (int j = 0; j < N; j++) {
-            finite = finite && isfinite(q->Pz[i][j]);
+            d->T[i * N + j] = p->Phi[i][j];
+            d->N[i * N + j] = j == i + 1 ? 1.0 : 0.0;
+        }
+        for (int j = i; j < N; j++) {
+            d->Pz[i * N + j] = d->Pz[j * N + i] = p->P[entry++];
         }
     }
-    return finite;
-}
-
-/* Whether the determinant of the nominal inertia matrix upright, where it is smallest, is more than rounding. */
-static int is_regular(const ihc_params *p)
-{
-    const double diagonal = p->nominal_arm_inertia * p->nominal_pendulum_inertia;
-    return diagonal - p->nominal_coupling * p->nominal_coupling > 1e-9 * diagonal;
+    return prepare_block_design(d);
 }
 
 ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
 {
-    if (!to_chain(p, q)) {
+    if (!to_chain(p, &q->design)) {
         return IHC_SINGULAR_PHI;
     }
-    if (!is_finite(q)) {
+    if (!block_design_is_finite(&q->design)) {
         return IHC_CHAIN_NOT_FINITE;
     }
     if (p->a_min > p->b_max) {
         return IHC_LIMITS;
     }
-    if (!is_regular(p)) {
+    const pendulum_coefficients pendulum = nominal_pendulum(p);
+    if (!pendulum_is_regular(&pendulum)) {
         return IHC_SINGULAR_MODEL;
     }
     if (p->capture_angle > p->fall_back_angle) {
@@ -618,6 +179,8 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
     q->decay = flushed(exp(-p->velocity_filter_cutoff * p->sample_time), LEAST);
     q->bias_decay = exp(-BIAS_DECAY * p->sample_time);
     alpha_beta_gains(p->observer_acceleration_noise, p->observer_resolution, p->sample_time, q->observer_gain);
+    q->search = (norm_search){p->norm_solver == IHC_NORM_EXACT, p->a_min, p->b_max, p->j_max};
+    q->ahead = p->discretization == IHC_SEMI_IMPLICIT ? p->sample_time : 0.0;
     return IHC_OK;
 }
 
@@ -728,60 +291,19 @@ static double swing_up_voltage(const ihc_params *p, const double x[N])
     return voltage_for(p, x[1], x[2], x[3], wanted);
 }
 
-/* A state as the norm and the homogeneous law take it: x = 2^-shift times the state, z = Phi x. */
-typedef struct {
-    int shift;
-    double x[N], z[N];
-    ihc_polynomial polynomial;
-} chain_state;
-
-static int shift_of(const double x[N])
-{
-    double size = 0.0;
-    for (int i = 0; i < N; i++) {
-        size = fmax(size, fabs(x[i]));
-    }
-    return size > LARGE ? SHIFT : size > 0.0 && size < SMALL ? -SHIFT : 0;
-}
-
-static void to_chain_state(const ihc_params *p, const ihc_prepared *q, const double x[N], chain_state *chain)
-{
-    chain->shift = shift_of(x);
-    const double factor = chain->shift == 0 ? 1.0 : chain->shift > 0 ? SMALL : LARGE;
-    for (int i = 0; i < N; i++) {
-        chain->x[i] = x[i] * factor;
-    }
-    for (int i = 0; i < N; i++) {
-        chain->z[i] = exact_dot(p->Phi[i], chain->x);
-    }
-    ihc_norm_polynomial(q->Pz, chain->z, p->mu, chain->shift, &chain->polynomial);
-}
-
-static double norm_in_law(const ihc_params *p, ihc_state *s, const ihc_polynomial *polynomial)
-{
-    if (p->norm_solver == IHC_NORM_EXACT) {
-        return isnan(s->norm) ? s->norm : clamp(s->norm, p->a_min, p->b_max);
-    }
-    s->interval[0] = clamp(s->interval[0], p->a_min, p->b_max);
-    s->interval[1] = clamp(s->interval[1], p->a_min, p->b_max);
-    ihc_bisection_update(polynomial, p->mu, s->interval, p->a_min, p->b_max, p->j_max);
-    return s->interval[1];
-}
-
 static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const double x[N],
-                                  const chain_state *chain)
+                                  const block_state *chain)
 {
+    double voltage[1];
     if (p->law == IHC_LAW_LC) {
-        return ihc_law_linear(p->k_lin, x);
+        return dot(p->k_lin, x, N);
     }
     if (p->law == IHC_LAW_SMC) {
-        return ihc_law_sliding_mode(p->smc_c, p->smc_k, p->smc_rho, x);
+        return sliding_mode(p, x);
     }
-    const double r = s->norm_used = norm_in_law(p, s, &chain->polynomial);
-    const double u = p->discretization == IHC_SEMI_IMPLICIT
-        ? ihc_law_semi_implicit(q->kz, q->row_z, p->mu, r, p->sample_time, chain->z)
-        : ihc_law_homogeneous(p->k_lin, p->row, q->kz, p->mu, r, chain->x, chain->z);
-    return chain->shift == 0 ? u : clamp(u, -MOST, MOST) * (chain->shift > 0 ? LARGE : SMALL);
+    s->norm_used = norm_in_law(&q->design, &q->search, &chain->polynomial, s->norm, s->interval);
+    homogeneous_law(&q->design, s->norm_used, q->ahead, chain, voltage);
+    return voltage[0];
 }
 
 static ihc_status fail(ihc_state *s, int32_t fault)
@@ -806,7 +328,7 @@ static int32_t bad_inputs(const ihc_inputs *u)
 static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const ihc_inputs *u)
 {
     double x[N], command = 0.0;
-    chain_state chain;
+    block_state chain;
     const int32_t bad = bad_inputs(u);
     if (bad) {
         s->bad_inputs = s->mode == IHC_FAULT ? s->bad_inputs : bad;
@@ -825,10 +347,10 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     if (!isfinite(x[0] + x[1] + x[2] + x[3])) {
         return fail(s, IHC_FAULT_CONTROL);
     }
-    to_chain_state(p, q, x, &chain);
-    s->norm = ihc_homogeneous_norm(&chain.polynomial, p->mu, s->norm);
+    make_block_state(&q->design, x, &chain);
+    s->norm = homogeneous_norm(&q->design, &chain.polynomial, s->norm);
     const int32_t earlier = s->mode;
-    s->mode = next_mode(p, earlier, ihc_squared_norm(&chain.polynomial, p->mu, 1.0), x[1], x[3]);
+    s->mode = next_mode(p, earlier, squared_norm(&q->design, &chain.polynomial, 1.0), x[1], x[3]);
     if (s->mode == IHC_STABILIZING && earlier != IHC_STABILIZING) {
         s->interval[0] = p->a_min;
         s->interval[1] = p->b_max;
@@ -838,8 +360,8 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
             x[2] = s->theta_dot;
             x[3] = s->delta_dot;
         }
-        to_chain_state(p, q, x, &chain);
-        s->norm = ihc_homogeneous_norm(&chain.polynomial, p->mu, s->norm);
+        make_block_state(&q->design, x, &chain);
+        s->norm = homogeneous_norm(&q->design, &chain.polynomial, s->norm);
     }
     s->theta_dot = x[2];
     s->delta_dot = x[3];
@@ -863,7 +385,7 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
 {
     static const ihc_state zero;
     *s = zero;
-    s->start_time = time;
+    s->clock.start_time = time;
     s->mode = IHC_IDLE;
     s->fault = IHC_FAULT_NONE;
     s->norm_used = 1.0;
@@ -871,47 +393,27 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     s->interval[1] = p->b_max;
     if (!bad_inputs(u)) {
         double x[N];
-        chain_state chain;
+        block_state chain;
         first_estimate(p, u, x);
-        to_chain_state(p, q, x, &chain);
-        s->norm = ihc_homogeneous_norm(&chain.polynomial, p->mu, 1.0);
+        make_block_state(&q->design, x, &chain);
+        s->norm = homogeneous_norm(&q->design, &chain.polynomial, 1.0);
     }
 }
 
-/* Whether one of the two times is a multiple of the other. */
-static ihc_status check_step(double sample_time, double step)
+int ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step, const ihc_inputs *u)
 {
-    const double ratio = step > sample_time ? step / sample_time : sample_time / step;
-    if (step > sample_time && ratio > (double)IHC_MAX_SAMPLES + 0.5) {
-        return IHC_TOO_MANY_SAMPLES;
-    }
-    return fabs(ratio - nearbyint(ratio)) <= 1e-6 * ratio ? IHC_OK : IHC_STEP_NOT_MULTIPLE; /* also for NaN */
-}
-
-ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step,
-                    const ihc_inputs *u)
-{
-    const double samples = step / p->sample_time;
-    ihc_status status = check_step(p->sample_time, step);
-    if (status != IHC_OK) {
+    double last;
+    int status = samples_until(&s->clock, p->sample_time, time, step, &last);
+    if (status != CLOCK_OK) {
         return status;
     }
-    const double beyond = samples > 1.0 ? samples - 0.5 : 0.5 * samples;
-    const double last = floor((time - s->start_time) / p->sample_time + beyond);
-    if (last - (double)s->next_sample >= fmax(1.0, nearbyint(samples))) {
-        return IHC_SAMPLE_MISSED;
-    }
-    while ((double)s->next_sample <= last) { /* as often as the step has samples, at most */
-        s->next_sample++;
+    while ((double)s->clock.next_sample <= last) { /* as often as the step has samples, at most */
+        s->clock.next_sample++;
         if (sample(p, q, s, u) != IHC_OK) {
             status = IHC_NEW_FAULT;
         }
     }
-    if (status == IHC_OK && samples > 1.5 && !s->held) {
-        s->held = 1;
-        return IHC_INPUTS_HELD;
-    }
-    return status;
+    return status == CLOCK_OK ? note_held_inputs(&s->clock, p->sample_time, step) : status;
 }
 
 void ihc_get_outputs(const ihc_state *s, ihc_outputs *y)

@@ -13,10 +13,12 @@
 #ifndef IHC_CONTROLLER_H
 #define IHC_CONTROLLER_H
 
-#include <stdint.h>
+enum { IHC_ORDER = 4 };
 
-enum { IHC_ORDER = 4, IHC_COEFFICIENTS = 2 * IHC_ORDER - 1, IHC_NEWTON_LIMIT = 100, IHC_MAX_J = 60, IHC_BISECTIONS = 100 };
-enum { IHC_MAX_SAMPLES = 1000000 }; /* in one communication step */
+#define HOMOGENEOUS_ORDER 4
+#define HOMOGENEOUS_CHAIN 1
+#include "homogeneous.h"
+#include "sample_clock.h"
 
 enum { IHC_LAW_LC = 1, IHC_LAW_SMC, IHC_LAW_IHC };                       /* law */
 enum { IHC_NORM_ALGORITHM1 = 1, IHC_NORM_EXACT };                        /* norm_solver */
@@ -33,12 +35,8 @@ typedef enum {
     IHC_SINGULAR_MODEL,       /* the nominal inertia matrix is singular in rounding */
     IHC_LIMITS,               /* a_min exceeds b_max */
     IHC_ANGLES,               /* capture_angle exceeds fall_back_angle */
-    IHC_KALMAN_TIME,          /* the Kalman filter's gain is for another sample time */
-    IHC_INPUTS_HELD,          /* the step worked; it is the first that held its inputs over several samples */
-    IHC_STEP_NOT_MULTIPLE,    /* neither sample_time nor the communication step is a multiple of the other */
-    IHC_TOO_MANY_SAMPLES,     /* the communication step is more than IHC_MAX_SAMPLES samples */
-    IHC_SAMPLE_MISSED         /* a sample before this step was never run: the state is not of this run */
-} ihc_status;
+    IHC_KALMAN_TIME           /* the Kalman filter's gain is for another sample time */
+} ihc_status;                 /* and those of sample_clock.h */
 
 /* Parameters, named as in the FMU. */
 typedef struct {
@@ -103,18 +101,17 @@ typedef struct {
 
 /* What follows from the parameters alone; made by ihc_prepare, again after a parameter changed. */
 typedef struct {
-    double kz[IHC_ORDER];            /* (k_lin + row) Phi^-1 */
-    double row_z[IHC_ORDER];         /* row Phi^-1 */
-    double Pz[IHC_ORDER][IHC_ORDER]; /* Phi^-T P Phi^-1 */
-    double decay;                    /* of the velocity filter over a sample [1] */
-    double observer_gain[2];         /* on the angle [1] and the velocity [1/s] */
-    double bias_decay;               /* over a sample [1] */
+    block_design design;     /* in chain coordinates */
+    norm_search search;      /* how the norm in the law is found */
+    double ahead;            /* sample time of the semi-implicit law; 0: explicit [s] */
+    double decay;            /* of the velocity filter over a sample [1] */
+    double observer_gain[2]; /* on the angle [1] and the velocity [1/s] */
+    double bias_decay;       /* over a sample [1] */
 } ihc_prepared;
 
 /* Everything that changes during a run. */
 typedef struct {
-    double start_time;     /* [s] */
-    int64_t next_sample;   /* index of the next sample instant */
+    sample_clock clock;
     double voltage;        /* held since the last sample [V] */
     double measured_delta; /* as received last [rad] */
     double theta_lag;      /* velocity filter [rad] */
@@ -132,7 +129,6 @@ typedef struct {
     int32_t mode;
     int32_t fault;
     int32_t bad_inputs;    /* bit i: input i was not finite when the fault came */
-    int64_t held;          /* whether it has been said that a step held its inputs over several samples */
 } ihc_state;
 
 /* Compute what follows from the parameters; refuses those that contradict each other. */
@@ -142,38 +138,8 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q);
 void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, const ihc_inputs *u);
 
 /* Sample the inputs at each sample instant within `step` [s] from `time` [s] on; hold the voltage otherwise. */
-ihc_status ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step,
-                    const ihc_inputs *u);
+int ihc_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double time, double step, const ihc_inputs *u);
 
 void ihc_get_outputs(const ihc_state *s, ihc_outputs *y);
-
-/* The parts, for tests and other units. */
-
-/* c_0 ... c_{2n-2} of Remark 5's polynomial for the state d(-exponent ln 2) z. */
-typedef struct {
-    double c[IHC_COEFFICIENTS];
-    int exponent; /* 0 unless a chain coordinate is far from 1: squares leave the range of numbers before states do */
-} ihc_polynomial;
-
-/* The polynomial of the state 2^shift z. */
-void ihc_norm_polynomial(const double Pz[IHC_ORDER][IHC_ORDER], const double z[IHC_ORDER], double mu, int shift,
-                         ihc_polynomial *p);
-
-/* N^2(r) = r^-2 sum c_m s^m; 0 or infinite far from the norm of a scaled state. */
-double ihc_squared_norm(const ihc_polynomial *p, double mu, double r);
-
-/* The root of N(r) = 1 by a bracketed Newton method of at most IHC_NEWTON_LIMIT iterations. */
-double ihc_homogeneous_norm(const ihc_polynomial *p, double mu, double guess);
-
-/* One run of Algorithm 1 (corrected) on the interval [a, b]; j_max + 2 evaluations of the polynomial at most. */
-void ihc_bisection_update(const ihc_polynomial *p, double mu, double interval[2], double a_min, double b_max,
-                          int j_max);
-
-double ihc_law_linear(const double k_lin[IHC_ORDER], const double x[IHC_ORDER]);
-double ihc_law_sliding_mode(const double c[IHC_ORDER], const double k[IHC_ORDER], double rho, const double x[IHC_ORDER]);
-double ihc_law_homogeneous(const double k_lin[IHC_ORDER], const double row[IHC_ORDER], const double kz[IHC_ORDER],
-                           double mu, double r, const double x[IHC_ORDER], const double z[IHC_ORDER]);
-double ihc_law_semi_implicit(const double kz[IHC_ORDER], const double row_z[IHC_ORDER], double mu, double r, double h,
-                             const double z[IHC_ORDER]);
 
 #endif

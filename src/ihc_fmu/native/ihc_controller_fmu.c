@@ -6,6 +6,7 @@
 
 FMU_PRIVATE_BEGIN
 #include "ihc_controller.h"
+#include "sample_clock_fmu.h"
 FMU_PRIVATE_END
 
 #include "ihc_controller_table.h" /* generated: VARIABLES and what they count */
@@ -23,7 +24,7 @@ static int initialize(const void *parameters, const void *prepared, void *state,
 
 static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
 {
-    return (int)ihc_step(parameters, prepared, state, time, length, inputs);
+    return ihc_step(parameters, prepared, state, time, length, inputs);
 }
 
 static void get_outputs(const void *parameters, const void *prepared, const void *state, void *outputs)
@@ -89,22 +90,8 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
                  "sample_time = %g s",
                  p->kalman_sample_time, p->sample_time);
         break;
-    case IHC_INPUTS_HELD:
-        snprintf(text, size, "a communication step of %g s holds the inputs over several samples of sample_time = %g s",
-                 length, p->sample_time);
-        return FMU_WARNING;
-    case IHC_STEP_NOT_MULTIPLE:
-        snprintf(text, size,
-                 "sample_time must be a multiple of the communication step, or the step of it, found sample_time = %g s and "
-                 "a communication step of %g s",
-                 p->sample_time, length);
-        break;
-    case IHC_SAMPLE_MISSED:
-        snprintf(text, size, "sample %lld of sample_time = %g s was stepped over", (long long)s->next_sample, p->sample_time);
-        break;
     default:
-        snprintf(text, size, "a communication step must not exceed %d samples of sample_time = %g s, found %g s",
-                 (int)IHC_MAX_SAMPLES, p->sample_time, length);
+        return explain_clock(status, &s->clock, p->sample_time, length, text, size);
     }
     return FMU_REFUSED;
 }

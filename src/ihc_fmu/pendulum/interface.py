@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from fmu_export.variables import Interface, Value, Variable
 
+from ..sampled_unit import FAULTS
+
 ORDER = 4
 """The controller FMU is for two degrees of freedom: x = (theta, delta, theta', delta')."""
 STATES = ("theta", "delta", "theta_dot", "delta_dot")
@@ -19,9 +21,6 @@ NORM_SOLVERS = ("algorithm1", "exact")
 DISCRETIZATIONS = ("explicit", "semi_implicit")
 VELOCITY_SOURCES = ("filter", "inputs", "kalman")
 MODES = ("idle", "swing_up", "stabilizing", "fault")
-FAULTS = ("none", "non_finite_input", "non_finite_control")
-MAX_SAMPLES = 1_000_000
-"""Most samples in one communication step."""
 
 GAIN_UNITS = ("V/rad", "V/rad", "V.s/rad", "V.s/rad")
 SURFACE_UNITS = ("V.s/rad", "V.s/rad", "V.s2/rad", "V.s2/rad")

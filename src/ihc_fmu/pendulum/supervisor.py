@@ -8,7 +8,7 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-from .interface import FAULTS, MODES
+from .interface import MODES
 
 
 class Mode(IntEnum):
@@ -18,14 +18,6 @@ class Mode(IntEnum):
     SWING_UP = MODES.index("swing_up") + 1
     STABILIZING = MODES.index("stabilizing") + 1
     FAULT = MODES.index("fault") + 1
-
-
-class Fault(IntEnum):
-    """Values of the output `fault`."""
-
-    NONE = FAULTS.index("none") + 1
-    NON_FINITE_INPUT = FAULTS.index("non_finite_input") + 1
-    NON_FINITE_CONTROL = FAULTS.index("non_finite_control") + 1
 
 
 class Capture(NamedTuple):

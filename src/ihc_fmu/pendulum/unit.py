@@ -7,17 +7,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 from fmu_export.errors import UserError
 
 from .. import homogeneity, laws
+from ..homogeneity import LEAST, flushed
+from ..sampled_unit import NOT_FINITE, Fault, SampledState, SampledUnit
 from . import velocity
 from .interface import (
     DISCRETIZATIONS,
     LAWS,
-    MAX_SAMPLES,
     NORM_SOLVERS,
     ORDER,
     STATES,
@@ -28,34 +29,18 @@ from .interface import (
     vector,
 )
 from .nominal_model import nominal_model
-from .supervisor import Capture, Fault, Mode, next_mode
+from .supervisor import Capture, Mode, next_mode
 from .swing_up import saturate, swing_up, swing_up_voltage
-from .velocity import LEAST, flushed
 
 TURN = 2.0 * math.pi
-NOT_FINITE = "the command is not finite"
-MOST = 2.0**400
-"""Bound on a control that is then multiplied by 2^homogeneity.SHIFT: beyond any voltage limit, within the numbers."""
-
-
-class ChainState(NamedTuple):
-    """A state as the norm and the homogeneous law take it: x = 2^-shift times the state, z = Phi x."""
-
-    shift: int
-    x: list[float]
-    z: list[float]
-    polynomial: homogeneity.NormPolynomial
 
 
 @dataclass(slots=True)
-class ControllerState:
+class ControllerState(SampledState):
     """Everything of the controller that changes during a run."""
 
-    start_time: float = 0.0  # [s]
-    next_sample: int = 0  # index of the next sample instant
     primed: bool = False  # whether the estimators have seen a measurement
     mode: int = Mode.IDLE
-    fault: int = Fault.NONE
     voltage: float = 0.0  # held since the last sample [V]
     turns: float = 0.0  # whole turns by which the measured delta has been unwrapped
     measured_delta: float = 0.0  # as received last [rad]
@@ -69,10 +54,9 @@ class ControllerState:
     bias: float = 0.0  # Kalman filter's estimate of the bias of the measured delta [rad]
     theta_dot: float = 0.0  # velocity that the law uses [rad/s]
     delta_dot: float = 0.0
-    held: bool = False  # whether it has been said that a step held its inputs over several samples
 
 
-class IhcControllerUnit:
+class IhcControllerUnit(SampledUnit):
     """The digital controller between two communication points.
 
     `values` maps every parameter of the interface to its value. Raises UserError where they contradict each other.
@@ -81,8 +65,6 @@ class IhcControllerUnit:
     def __init__(self, values: Mapping[str, Any]) -> None:
         self.values = values
         self.law = LAWS[values["law"] - 1]
-        self.exact = NORM_SOLVERS[values["norm_solver"] - 1] == "exact"
-        self.semi_implicit = DISCRETIZATIONS[values["discretization"] - 1] == "semi_implicit"
         self.velocity_source = VELOCITY_SOURCES[values["velocity_source"] - 1]
         self.from_inputs = self.velocity_source == "inputs"
         self._take_design()
@@ -90,8 +72,11 @@ class IhcControllerUnit:
         self.b_max: float = values["b_max"]
         if self.a_min > self.b_max:
             raise UserError(f"a_min must not exceed b_max, found a_min = {self.a_min:g} and b_max = {self.b_max:g}")
-        self.j_max: int = values["j_max"]
-        self.sample_time: float = values["sample_time"]
+        exact = NORM_SOLVERS[values["norm_solver"] - 1] == "exact"
+        self.search = homogeneity.NormSearch(exact, self.a_min, self.b_max, values["j_max"])
+        self.sample_time = values["sample_time"]
+        semi_implicit = DISCRETIZATIONS[values["discretization"] - 1] == "semi_implicit"
+        self.ahead = self.sample_time if semi_implicit else None
         self.limit: float = values["voltage_limit"]
         self.cutoff: float = values["velocity_filter_cutoff"]
         self.decay = velocity.filter_decay(self.cutoff, self.sample_time)
@@ -110,27 +95,21 @@ class IhcControllerUnit:
             )
         self._take_kalman_filter()
         self.state = ControllerState(interval=(self.a_min, self.b_max))
-        self.checked_step = 0.0
 
     def _take_design(self) -> None:
         values = self.values
         entries = [values[name] for name in matrix("Phi")]
-        self.Phi = [entries[ORDER * i : ORDER * (i + 1)] for i in range(ORDER)]
+        Phi = [entries[ORDER * i : ORDER * (i + 1)] for i in range(ORDER)]
         upper = iter([values[name] for name in upper_triangle("P")])
         P = [[0.0] * ORDER for _ in range(ORDER)]
         for i in range(ORDER):
             for j in range(i, ORDER):
                 P[i][j] = P[j][i] = next(upper)
-        self.k_lin = [values[name] for name in vector("k_lin")]
-        self.row = [values[name] for name in vector("row")]
-        Phi_t = homogeneity.transpose(self.Phi)
-        columns = [[k + r, r] for k, r in zip(self.k_lin, self.row, strict=True)]
-        self.kz, row_z = homogeneity.transpose(homogeneity.solve(Phi_t, columns))
-        self.row_z = homogeneity.refined(Phi_t, row_z, self.row)
-        self.Pz = homogeneity.to_chain(self.Phi, P)
-        if not all(math.isfinite(entry) for row in (self.kz, self.row_z, *self.Pz) for entry in row):
-            raise UserError("Phi, P, k_lin and row must be of moderate size, found a chain form that is not finite")
+        row, k_lin = ([values[name] for name in vector(gain)] for gain in ("row", "k_lin"))
         self.mu: float = values["mu"]
+        self.design = laws.chain_design(Phi, row, k_lin, P, self.mu)
+        if not laws.is_finite(self.design):
+            raise UserError("Phi, P, k_lin and row must be of moderate size, found a chain form that is not finite")
         self.smc_c = [values[name] for name in vector("smc_c")]
         self.smc_k = [values[name] for name in vector("smc_k")]
         self.smc_rho: float = values["smc_rho"]
@@ -153,51 +132,22 @@ class IhcControllerUnit:
         self.state.start_time = time
         if all(map(math.isfinite, inputs)):
             x = self._first_estimate(inputs)
-            self.state.norm = homogeneity.homogeneous_norm(self._chain_state(x).polynomial, self.mu)
+            self.state.norm = homogeneity.homogeneous_norm(laws.block_state(self.design, x).polynomial, self.mu)
         return []
-
-    def step(self, time: float, step: float, inputs: tuple[float, ...]) -> list[str]:
-        """Sample the inputs at each sample instant within `step` [s] from `time` [s] on; hold the voltage otherwise.
-
-        Returns messages for the log. Raises UserError where neither the sample time nor the communication step is a
-        multiple of the other.
-        """
-        if step != self.checked_step:
-            self._check_step(step)
-        state = self.state
-        samples = step / self.sample_time
-        beyond = samples - 0.5 if samples > 1.0 else 0.5 * samples
-        last = math.floor((time - state.start_time) / self.sample_time + beyond)
-        if last - state.next_sample >= max(1, round(samples)):
-            raise UserError(f"sample {state.next_sample} of sample_time = {self.sample_time:g} s was stepped over")
-        messages: list[str] = []
-        while state.next_sample <= last:
-            state.next_sample += 1
-            try:
-                messages += self.sample(inputs)
-            except (ArithmeticError, ValueError):  # finite measurements beyond the range of numbers on the way
-                messages += self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
-        if samples > 1.5 and not messages and not state.held:
-            state.held = True
-            return [
-                f"a communication step of {step:g} s holds the inputs over several samples of sample_time = "
-                f"{self.sample_time:g} s"
-            ]
-        return messages
 
     def sample(self, inputs: tuple[float, ...]) -> list[str]:
         """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
         state = self.state
         bad = [f"{name} = {value}" for name, value in zip(STATES, inputs, strict=True) if not math.isfinite(value)]
         if bad:
-            return self._fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
+            return self.fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
         if state.mode == Mode.FAULT:
             return []
         inputs = tuple([flushed(value, LEAST) for value in inputs])
         x = self._estimate(inputs, self._unwrap(inputs[1])) if state.primed else self._prime(inputs)
         if not math.isfinite(x[0] + x[1] + x[2] + x[3]):
-            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
-        chain = self._chain_state(x)
+            return self.fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+        chain = laws.block_state(self.design, x)
         state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         earlier = state.mode
         state.mode = next_mode(
@@ -212,14 +162,14 @@ class IhcControllerUnit:
         if state.mode == Mode.STABILIZING and earlier != Mode.STABILIZING:
             state.interval = (self.a_min, self.b_max)
             x = self._use_filter(inputs, x)
-            chain = self._chain_state(x)
+            chain = laws.block_state(self.design, x)
             state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         state.theta_dot, state.delta_dot = x[2], x[3]
         command = self._command(x, chain)
         if self.compensate and state.mode == Mode.STABILIZING:
             command -= state.disturbance  # 0 without the Kalman filter
         if not math.isfinite(command):
-            return self._fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
+            return self.fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
         state.voltage = saturate(command, self.limit)
         return []
 
@@ -228,29 +178,6 @@ class IhcControllerUnit:
         s = self.state
         estimates = s.theta_dot, s.delta_dot, s.disturbance, s.bias
         return s.voltage, s.norm, s.norm_used, s.mode, *estimates, s.fault
-
-    def get_state(self) -> dict[str, Any]:
-        """Return everything that changes during a run, as JSON types."""
-        return asdict(self.state)
-
-    def set_state(self, state: Mapping[str, Any]) -> None:
-        """Restore what `get_state` returned, also after a passage through JSON."""
-        fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in state.items()}
-        self.state = ControllerState(**fields)
-
-    def _check_step(self, step: float) -> None:
-        ratio = step / self.sample_time if step > self.sample_time else self.sample_time / step
-        if step > self.sample_time and ratio > MAX_SAMPLES + 0.5:
-            raise UserError(
-                f"a communication step must not exceed {MAX_SAMPLES} samples of sample_time = {self.sample_time:g} s, "
-                f"found {step:g} s"
-            )
-        if not math.isfinite(ratio) or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise UserError(
-                f"sample_time must be a multiple of the communication step, or the step of it, found sample_time = "
-                f"{self.sample_time:g} s and a communication step of {step:g} s"
-            )
-        self.checked_step = step
 
     def _first_estimate(self, inputs: tuple[float, ...]) -> list[float]:
         """Return x from the first measurement: at rest, unless velocities are measured too."""
@@ -323,14 +250,7 @@ class IhcControllerUnit:
         delta = math.remainder(inputs[1], TURN)
         return [inputs[0], delta, self.state.theta_dot, self.state.delta_dot]
 
-    def _chain_state(self, x: list[float]) -> ChainState:
-        shift = homogeneity.shift_of(x)
-        if shift != 0:
-            x = [entry * 2.0**-shift for entry in x]
-        z = [homogeneity.exact_dot(entries, x) for entries in self.Phi]
-        return ChainState(shift, x, z, homogeneity.norm_polynomial(self.Pz, z, self.mu, shift))
-
-    def _command(self, x: list[float], chain: ChainState) -> float:
+    def _command(self, x: list[float], chain: laws.BlockState) -> float:
         state = self.state
         state.norm_used = 1.0
         if state.mode == Mode.SWING_UP:
@@ -338,27 +258,15 @@ class IhcControllerUnit:
         if state.mode != Mode.STABILIZING:
             return 0.0
         if self.law == "LC":
-            return laws.linear(self.k_lin, x)
+            return laws.linear(self.design.K, x)[0]
         if self.law == "SMC":
             return laws.sliding_mode(self.smc_c, self.smc_k, self.smc_rho, x)
-        r = self._norm_in_law(chain.polynomial)
-        state.norm_used = r
-        if self.semi_implicit:
-            u = laws.implicit_homogeneous_semi(self.kz, self.row_z, self.mu, r, self.sample_time, chain.z)
-        else:
-            u = laws.implicit_homogeneous(self.k_lin, self.row, self.kz, self.mu, r, chain.x, chain.z)
-        return u if chain.shift == 0 else saturate(u, MOST) * 2.0**chain.shift
+        state.norm_used, state.interval = homogeneity.norm_in_law(
+            self.search, chain.polynomial, self.mu, state.norm, state.interval
+        )
+        return laws.controls(self.design, chain, state.norm_used, self.ahead)[0]
 
-    def _norm_in_law(self, polynomial: homogeneity.NormPolynomial) -> float:
-        state = self.state
-        if self.exact:
-            return state.norm if math.isnan(state.norm) else min(self.b_max, max(self.a_min, state.norm))
-        low, high = state.interval  # brought within bounds that may have been tuned since
-        interval = (min(self.b_max, max(self.a_min, low)), min(self.b_max, max(self.a_min, high)))
-        state.interval = homogeneity.bisection_update(polynomial, self.mu, interval, self.a_min, self.b_max, self.j_max)
-        return state.interval[1]
-
-    def _fail(self, fault: Fault, cause: str) -> list[str]:
+    def fail(self, fault: Fault, cause: str) -> list[str]:
         """Command 0 V from now on; the first cause is kept."""
         state = self.state
         state.voltage, state.norm_used = 0.0, 1.0

@@ -4,7 +4,8 @@ from itertools import product
 
 import pytest
 
-from ihc_fmu.pendulum.supervisor import Capture, Fault, Mode, next_mode
+from ihc_fmu.pendulum.supervisor import Capture, Mode, next_mode
+from ihc_fmu.sampled_unit import Fault
 
 CAPTURE = Capture(level=2.0, angle=0.5, velocity=6.0, fall_back_angle=0.8)
 INSIDE = (1.0, 0.1, 0.5)  # x' P x, delta, delta'

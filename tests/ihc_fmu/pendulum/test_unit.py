@@ -10,9 +10,10 @@ import pytest
 
 from ihc_fmu import homogeneity, laws
 from ihc_fmu.pendulum.interface import INTERFACE
-from ihc_fmu.pendulum.supervisor import Fault, Mode
+from ihc_fmu.pendulum.supervisor import Mode
+from ihc_fmu.sampled_unit import Fault
 from ihc_fmu.sliding_mode import fitted_smc
-from tests.ihc_fmu.conftest import chain, chain_gain
+from tests.ihc_fmu.conftest import chain_of
 
 OUTPUTS = [v.name for v in INTERFACE.of("output")]
 STATE_INPUT = {"velocity_source": "inputs"}
@@ -59,48 +60,32 @@ def recorded(controller, closed_loop):
 def test_commands_are_those_of_the_laws_for_the_measured_state(controller, design, delta):
     """Each law with its norm solver and discretization, against the library functions at one sample."""
     x: Any = np.array([0.1, delta, -0.3, 0.5])
-    z = chain(design).Phi @ x
-    c = homogeneity.norm_polynomial(
-        homogeneity.to_chain(chain(design).Phi.tolist(), design.P.tolist()), z.tolist(), 1.0
+    z = chain_of(design).Phi @ x
+    law = laws.chain_design(
+        chain_of(design).Phi.tolist(),
+        chain_of(design).row.tolist(),
+        design.k_lin.tolist(),
+        design.P.tolist(),
+        design.mu,
     )
+    c = homogeneity.norm_polynomial(law.Pz, z.tolist(), law.exponents, 1.0)
     exact = min(2.0, max(0.1, homogeneity.homogeneous_norm(c, 1.0)))
     _, estimate = homogeneity.bisection_update(c, 1.0, (0.1, 2.0), 0.1, 2.0, 3)
     assert 0.1 < exact < 2.0
     assert abs(estimate / exact - 1) > 1e-3
     smc: Any = fitted_smc(design.A, design.b)
-    row_z: Any = np.linalg.solve(chain(design).Phi.T, chain(design).row)
     cases = [
         ({"law": "LC"}, design.k_lin @ x, 1.0),
         ({"law": "SMC"}, laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x), 1.0),
-        (
-            {},
-            laws.implicit_homogeneous(
-                design.k_lin,
-                chain(design).row,
-                chain_gain(design),
-                1.0,
-                estimate,
-                x,
-                z,
-            ),
-            estimate,
-        ),
+        ({}, laws.implicit_homogeneous(law, estimate, x, z)[0], estimate),
         (
             {"norm_solver": "exact"},
-            laws.implicit_homogeneous(
-                design.k_lin,
-                chain(design).row,
-                chain_gain(design),
-                1.0,
-                exact,
-                x,
-                z,
-            ),
+            laws.implicit_homogeneous(law, exact, x, z)[0],
             exact,
         ),
         (
             {"norm_solver": "exact", "discretization": "semi_implicit"},
-            laws.implicit_homogeneous_semi(chain_gain(design), row_z, 1.0, exact, 1e-3, z),
+            laws.implicit_homogeneous_semi(law, exact, 1e-3, z)[0],
             exact,
         ),
     ]
@@ -404,8 +389,9 @@ def test_norm_at_capture_is_that_of_the_state_in_the_law(controller, closed_loop
     k = np.flatnonzero(run["mode"] == Mode.STABILIZING)[0]
     delta = math.remainder(run["delta_encoder"][k], math.tau)
     x: Any = [run["theta_encoder"][k], delta, run["theta_dot_estimate"][k], run["delta_dot_estimate"][k]]
-    Pz = homogeneity.to_chain(chain(design).Phi.tolist(), design.P.tolist())
-    expected = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(Pz, (chain(design).Phi @ x).tolist(), 1.0), 1.0)
+    Pz = homogeneity.to_blocks(chain_of(design).Phi.tolist(), design.P.tolist())
+    c = homogeneity.norm_polynomial(Pz, (chain_of(design).Phi @ x).tolist(), homogeneity.chain(4), 1.0)
+    expected = homogeneity.homogeneous_norm(c, 1.0)
     assert run["homogeneous_norm_used"][k] == pytest.approx(expected, rel=1e-9)
 
 
