@@ -32,6 +32,9 @@ ACTING = "stabilizing"
 SWING_UP = "swing_up"
 """The item of a controller that first brings the plant to where the law can act."""
 
+TRUE = "_true"
+"""How the names of a LinearPlant's states end that are also measured: they have the set-point of what is measured."""
+
 NO_UNIT = "1"
 
 
@@ -220,6 +223,10 @@ def evaluation_of(
     true = {f"{angle}_encoder": angle for angle in angles}
     chosen = section.errors or list(dict.fromkeys(true.get(source, source) for source in measured))
     back = {true.get(source, source): wire for source, wire in measured.items()}
+
+    def wire_of(name: str) -> Wire | None:
+        return back.get(name, back.get(name.removesuffix(TRUE)))
+
     driven = {s.target for s in signals if s.recorded}
     find = _Found(variables, start, wires, driven)
     acting = list(dict.fromkeys(acting)) if section.controls is None else list(section.controls)
@@ -232,7 +239,7 @@ def evaluation_of(
         Evaluation,
         {
             "errors": [
-                {**find.error(name, back.get(name), wraps=name in angles), "label": labels[name]} for name in chosen
+                {**find.error(name, wire_of(name), wraps=name in angles), "label": labels[name]} for name in chosen
             ],
             "controls": [
                 {"signal": name, "unit": find.unit(name, "controls"), "label": labels[name]} for name in acting

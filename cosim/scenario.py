@@ -337,7 +337,7 @@ class _Plan:
             raise UserError(
                 "plant.measurement says how the pendulum is wired, and the wires are listed: give one of both"
             )
-        seed, own = self.scenario.run.seed, self.own.get(PLANT, {})
+        seed, own = self.scenario.run.seed, {**self.own.get(PLANT, {}), **plant.start}
         if seed is not None and not offsets(own) and "noise_seed" not in own:
             raise UserError(
                 f"run.seed draws the plant's offsets (*{OFFSETS[0]}, *{OFFSETS[1]}) and seeds its noise (noise_seed), which "
@@ -401,7 +401,7 @@ class _Plan:
             return pendulum.controller_start(self.own[name], chosen, step, self.files.design, ideal)
         if name == PLANT:
             seed = self.scenario.run.seed
-            drawn = {} if seed is None else random_measurement(self.own[name], seed)
+            drawn = {} if seed is None else random_measurement({**self.own[name], **chosen}, seed)
             return pendulum.plant_start(self.scenario.plant.parameters, self.folder) | drawn | chosen
         return dict(chosen)
 
@@ -433,13 +433,16 @@ class _Plan:
 
 
 OFFSETS = ("_encoder_offset", "_resolution_offset")
-"""How the names of parameters end that say where inside a count a sensor was zeroed, in counts."""
+"""How the names of parameters end that say where inside a count a sensor was zeroed, in counts.
+
+A sensor `y` whose parameter `y_resolution` is 0 does not count, so that its offset means nothing.
+"""
 
 
 def random_measurement(own: Mapping[str, StartValue], seed: int) -> dict[str, StartValue]:
     """Return encoder offsets drawn uniformly inside a count, and the noise's seed, for a seed of the run.
 
-    `own` are the plant's start values; empty where it has neither.
+    `own` are all start values of the plant; nothing is drawn of one that has neither.
     """
     import numpy as np  # noqa: PLC0415
 
@@ -450,14 +453,14 @@ def random_measurement(own: Mapping[str, StartValue], seed: int) -> dict[str, St
 
 
 def offsets(own: Mapping[str, StartValue]) -> list[str]:
-    """Return the names of a plant's encoder offsets, in the order of its variables."""
-    return [name for name in own if name.endswith(OFFSETS)]
+    """Return the names of the offsets of a plant's sensors that count, in the order of its variables."""
+    return [name for name in own if name.endswith(OFFSETS) and own.get(name.removesuffix("_offset")) != 0.0]
 
 
 def plant_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:
-    """Return the start values of the plant FMU's own; none where there is no plant."""
+    """Return all start values of the plant: the FMU's own and the scenario's; none where there is no plant."""
     path = files(scenario, fmus, folder).fmus.get(PLANT)
-    return {} if path is None else _own_values(path)
+    return {} if path is None else {**_own_values(path), **scenario.plant.start}
 
 
 def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, solve_continuous_are
 
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
@@ -16,6 +16,16 @@ from cosim.fmu import start_values_of
 from cosim.metrics import evaluate, quantities_of
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario, run_scenario
+from fmu_export.native_fmu import export_native_fmu
+from ihc_fmu.block_form import block_form
+from ihc_fmu.regulator.interface import Shape
+from ihc_fmu.regulator.native_unit import NATIVE as CONTROLLER
+from ihc_fmu.regulator.start_values import Regulator
+from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.system import Quantity, System
+from plant_fmu.linear.native_unit import NATIVE as PLANT
+from plant_fmu.linear.start_values import linear_plant_values
+from plant_fmu.linear.start_values import shown_interface as shown_linear_plant
 from tests.cosim.command import ended, files, sentence
 from tests.cosim.linear_fmu import linear_fmu
 
@@ -551,3 +561,111 @@ def test_a_comparison_of_two_units_needs_no_combined_norm(units, scenario):
     assert found.value("IHC", "integral_e2[plant.speed]").value > 0.0
     assert math.isnan(found.change("IHC", "LC", "steady_rms[plant.position]").value) or found.steady("LC")
     assert start_values_of(Path(units) / "cart.fmu")["x0[1]"] == 0.1
+
+
+# The project's own units for any linear system
+
+
+@pytest.fixture(scope="session")
+def carts(tmp_path_factory):
+    """LinearPlant and HomogeneousController of two carts joined by a spring, pushed by two forces; a design of degree -1."""
+    A = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-2, 2, 0, 0], [1, -1, 0, 0]], float)
+    B = np.array([[0, 0], [0, 0], [1, 0], [0, 0.5]], float)
+    K = -B.T @ solve_continuous_are(A, B, np.diag([4.0, 4.0, 1.0, 1.0]), np.eye(2))
+    states = tuple(Quantity(name, unit) for name, unit in (("x1", "m"), ("x2", "m"), ("v1", "m/s"), ("v2", "m/s")))
+    forces = (Quantity("f1", "N"), Quantity("f2", "N"))
+    system = System(A=A, B=B, K=K, name="carts", states=states, inputs=forces, set_points=("x1", "x2"))
+    design, form = inverse_design(system, Options(alpha=0.1, u_max=2.0)), block_form(A, B)
+    shape = Shape(
+        name="carts", states=states, inputs=forces, outputs=states, set_points=("x1", "x2"), biases=(), estimated=False
+    )
+    N_x = np.diag([1.0, 1.0, 0.0, 0.0])
+    regulator = Regulator(
+        shape=shape,
+        exponents=form.exponents,
+        T=form.T,
+        N=form.N,
+        B=form.Bz,
+        K_0=form.K_0,
+        K=K,
+        P=design.P,
+        mu=design.mu,
+        sample_time=1e-3,
+        N_x=N_x,
+    )
+    folder = tmp_path_factory.mktemp("carts")
+    shown, hidden = shown_linear_plant(system), linear_plant_values(system)
+    export_native_fmu(PLANT, folder / "carts.fmu", interface=shown, hidden=hidden, identifier="carts_linear_plant")
+    shown, hidden = regulator.exported()
+    export_native_fmu(
+        CONTROLLER, folder / "carts_controller.fmu", interface=shown, hidden=hidden, identifier="carts_controller"
+    )
+    text = """
+    run = { duration = 8 }
+    plant = { fmu = "carts.fmu", start = { x1_0 = 0.5, x2_0 = -0.2 } }
+    controller = { fmu = "carts_controller.fmu" }
+    evaluate.errors = ["plant.x1", "plant.x2"]
+    """
+    (folder / "carts.toml").write_text(text, encoding="utf-8")
+    return folder, system
+
+
+def test_a_linear_plant_and_its_homogeneous_controller_run_compare_and_tune(carts, tmp_path):
+    folder, system = carts
+    chosen, where = load_scenario(str(folder / "carts.toml"))
+    laws = {law: chosen.changed({"controller.start.law": law, "controller.start.a_min": 0.2}) for law in ("LC", "IHC")}
+    results = {law: run_scenario(one, folder, where) for law, one in laws.items()}
+    expected = closed_loop(system.A, system.B, system.K, (0.5, -0.2, 0.0, 0.0), 1e-3, 8000)
+    found = np.column_stack([results["LC"][f"plant.{q.name}"] for q in system.states])
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    metrics = {law: evaluate(result) for law, result in results.items()}
+    assert metrics["IHC"].settling_time < metrics["LC"].settling_time
+    assert metrics["LC"].quantities["energy"].heading == "∫Σu² dt [N² s]"
+    assert {"peak[controller.f1]", "peak[controller.f2]"} <= metrics["LC"].values.keys()
+    done = ended("compare", folder / "carts.toml", "--fmus", folder, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "carts: one run" in done.stdout  # sensors that do not count have no offset to draw
+    assert (tmp_path / "results" / "carts" / "homogeneous_norm.png").is_file()
+    options = ("--a-min", "1,0.5,0.2", "--b-max", "1", "--set", "controller.start.discretization=explicit")
+    done = ended("tune", folder / "carts.toml", *options, "--fmus", folder, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    rows = list(csv.DictReader((tmp_path / "results" / "tune_carts" / "tuning.csv").open(encoding="utf-8")))
+    assert float(rows[0]["integral_e2"]) == pytest.approx(metrics["LC"].integral_e2, rel=1e-9)  # a_min = 1 is the LC
+
+
+def test_sensors_that_count_are_drawn(carts):
+    folder, _ = carts
+    chosen, where = load_scenario(str(folder / "carts.toml"))
+    counted = chosen.changed({"plant.start.x1_resolution": 1e-3, "run.duration": 0.5})
+    (found,) = compare([Study(counted, where, 3)], folder, ("LC",))
+    assert (found.count, found.chance.offsets) == (3, ("x1_resolution_offset",))
+    assert len({draw.metrics.integral_e2 for draw in found.draws}) == 3
+    seeded = [run_scenario(counted.changed({"run.seed": seed}), folder, where)["plant.x1"][0] for seed in (1, 1, 2)]
+    assert seeded[0] == seeded[1]
+    with pytest.raises(UserError, match=r"run\.seed draws the plant's offsets"):
+        run_scenario(chosen.changed({"run.seed": 1}), folder, where)
+
+
+def test_a_set_point_moves_the_carts_and_a_disturbance_pushes_one(carts, tmp_path):
+    folder, _ = carts
+    chosen, where = load_scenario(str(folder / "carts.toml"))
+    moved = chosen.changed(
+        {
+            "signals": [
+                {"kind": "step", "input": f"controller.{x}_setpoint", "value": 0.3, "time": 1.0} for x in ("x1", "x2")
+            ],
+            "disturbance": {"input": "f1_disturbance", "sines": [{"amplitude": 0.05, "frequency": 3.0}], "start": 4.0},
+        }
+    )
+    result = run_scenario(moved, folder, where)
+    assert [e.set_point for e in evaluation_in(result).errors] == ["controller.x1_setpoint", "controller.x2_setpoint"]
+    assert abs(result["plant.x1"][3999] - 0.3) < 1e-2
+    assert evaluate(result).steady_rms < 0.05
+    with pytest.raises(UserError, match=r"disturbance\.input must say .* one of f1_disturbance, f2_disturbance"):
+        run_scenario(moved.changed({"disturbance.input": None}), folder, where)
+    done = ended("ssp", folder / "carts.toml", "--fmus", folder, "-o", "carts.ssp", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    packed, inside = load_scenario(str(tmp_path / "carts.ssp"))
+    again = run_scenario(packed.changed({"run.duration": 0.5}), inside, inside)
+    plain = run_scenario(chosen.changed({"run.duration": 0.5}), folder, where)
+    np.testing.assert_array_equal(again["plant.x1"], plain["plant.x1"])
