@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fmu_export.ownership import check_replaceable, is_ours
-from fmu_export.reading import read_toml
 
 from . import signals
 from .display import (
@@ -149,101 +148,58 @@ def _discard_output() -> None:
 def design(
     system: Annotated[
         Path | None,
-        typer.Option(help="TOML file with A (rows), b and, for the inverse method, k_lin; none: those of the paper."),
+        typer.Option(
+            help="TOML file of a system: A, B and, for the inverse method, K or lqr; none: the paper's pendulum."
+        ),
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="inverse: from k_lin, eqs. (10)-(11); direct: k free, eq. (9).")
+        Method, typer.Option(help="inverse: from K, eqs. (10)-(11); direct: K free, eq. (9).")
     ] = Method.inverse,
-    mu: Annotated[float, typer.Option(help="Minus the degree of homogeneity, in (0, 1].")] = 1.0,
-    alpha: Annotated[float, typer.Option(help="Decrease to prove: d||x||/dt <= -alpha ||x||^(1-mu) [1/s].")] = 0.2,
-    u_max: Annotated[
-        float | None, typer.Option(help="Scale of P: largest |k x| on the unit ball [V]; 1.5 if no rule is given.")
+    mu: Annotated[
+        float | None, typer.Option(help="Minus the degree of homogeneity, in (0, 1]; none: 1, or the largest found.")
     ] = None,
-    delta_max: Annotated[
-        float | None, typer.Option(help="Scale of P: largest second state (delta) on the unit ball [rad].")
+    alpha: Annotated[
+        float | None,
+        typer.Option(help="Decrease to prove: d||x||/dt <= -alpha ||x||^(1-mu) [1/s]; none: half of the largest one."),
+    ] = None,
+    u_max: Annotated[
+        str | None,
+        typer.Option(
+            help="Scale of P: largest homogeneous part |(K - K_0) x| of the control on the unit ball, a number or one per "
+            "input, separated by commas; none: half of what the limits leave."
+        ),
+    ] = None,
+    delta_max: Annotated[float | None, typer.Option(help="Scale of P: largest state --state on the unit ball.")] = None,
+    state: Annotated[
+        str | None, typer.Option(help="Name of the state that --delta-max bounds; none: the second.")
     ] = None,
     beta: Annotated[float, typer.Option(help="Monotonicity of the dilation, G X + X G' >= 2 beta X.")] = 0.1,
     psi: Annotated[float, typer.Option(help="Remark 3: bound of the remainder, adds psi I to the inequality.")] = 0.0,
     d_max: Annotated[
-        float, typer.Option(help="Matched disturbance that the proof must reject [V]; mu = 1 only.")
+        float, typer.Option(help="Matched disturbance that the proof must reject, in units of the input; mu = 1 only.")
     ] = 0.0,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Where to write the design (JSON).")] = Path(
-        "design.json"
-    ),
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Where to write the design; none: `design.json`.")
+    ] = None,
 ) -> None:
     """Turn a linear controller into an implicit homogeneous one and prove it by matrix inequalities.
 
-    Without options this is the paper's example. The numbers, their certificate and the largest feasible alpha are
-    printed; the file goes into `export --design`.
+    Without options this is the paper's example. The numbers, why they were chosen, their certificate and the largest
+    feasible alpha are printed; the file goes into `export --design`.
     """
-    from ihc_fmu.design import InfeasibleError, Options, direct_design, inverse_design, largest_alpha
+    from . import designing
 
-    if output.suffix != ".json":
-        raise UserError(f"--output must name a .json file, found {output}")
-    check_replaceable(output, kind="design")
-    A, b, k_lin = _read_system(system, need_gain=method is Method.inverse)
-    if u_max is None and delta_max is None:
-        u_max = 1.5
-    options = Options(mu=mu, alpha=alpha, u_max=u_max, delta_max=delta_max, beta=beta, psi=psi, d_max=d_max)
+    path = output or Path("design.json")
+    if path.suffix != ".json":
+        raise UserError(f"--output must name a .json file, found {path}")
+    check_replaceable(path, kind="design")
+    wish = designing.Wish(method is Method.direct, mu, alpha, u_max, delta_max, state, beta, psi, d_max)
     with problems.status("solving the matrix inequalities") as shown:
-
-        def limit(gain: Any) -> float:
-            say = "largest feasible alpha: between {:.4g} and {:.4g} 1/s"
-            return largest_alpha(A, b, gain, mu, progress=lambda low, high: shown.update(say.format(low, high)))
-
-        try:
-            found = direct_design(A, b, options) if method is Method.direct else inverse_design(A, b, k_lin, options)
-        except InfeasibleError as error:
-            if method is Method.direct or psi or d_max:
-                raise
-            try:
-                largest = limit(k_lin)
-            except InfeasibleError as none:
-                raise UserError(f"{error}; the largest feasible alpha was not found: {none}") from None
-            if alpha > largest:
-                raise UserError(
-                    f"alpha = {alpha:g} 1/s is too large for this k_lin, the largest feasible one is {largest:.4g} 1/s"
-                ) from None
-            raise UserError(
-                f"{error}: the largest unit ball could not be computed, although a P "
-                f"exists up to alpha = {largest:.4g} 1/s"
-            ) from None
-        found.save(output)
-        print_design(found)
-        try:
-            console.print(f"largest feasible alpha for this k_lin and mu: {limit(found.k_lin):.4g} 1/s")
-        except InfeasibleError as error:
-            console.print(f"largest feasible alpha for this k_lin and mu: not found: {escaped(error)}")
-    console.print(f"wrote {escaped(output)}")
-
-
-def _read_system(path: Path | None, need_gain: bool) -> tuple[Any, Any, Any]:
-    """Return A, b, k_lin of a TOML file, the paper's for None."""
-    from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN
-
-    if path is None:
-        return PAPER_A, PAPER_B, PAPER_K_LIN
-    import numpy as np
-
-    from .typed import checked
-
-    found = checked(_system_model(need_gain=need_gain), read_toml(path, "system"), path)
-    if len({len(row) for row in found.A}) > 1:
-        raise UserError(
-            f"{path}: A must be rows of numbers of equal length, found {[len(row) for row in found.A]} numbers"
-        )
-    return np.array(found.A, float), np.array(found.b, float), np.array(found.k_lin, float)
-
-
-def _system_model(*, need_gain: bool) -> Any:
-    """Return the typed model of a system file."""
-    from pydantic import ConfigDict, create_model
-
-    from .typed import Finite
-
-    gain = (list[Finite], ... if need_gain else [])
-    closed = ConfigDict(extra="forbid")
-    return create_model("System", __config__=closed, A=(list[list[Finite]], ...), b=(list[Finite], ...), k_lin=gain)
+        found, reasons = designing.find(*designing.system_and_wish(system, wish), shown.update)
+        found.save(path)
+        print_design(found, reasons)
+        console.print(f"largest feasible alpha for this gain and mu: {escaped(designing.largest(found, shown.update))}")
+    console.print(f"wrote {escaped(path)}")
 
 
 @app.command()

@@ -267,29 +267,44 @@ def progress() -> Progress:
     return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
 
 
-def print_design(found: Design) -> None:
-    """Print a design's numbers and its certificate."""
+def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
+    """Print a design's numbers, why they were chosen, and its certificate."""
     import numpy as np
     from rich.table import Table
 
     def row(values: Iterable[float]) -> str:
         return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
 
+    def rows(matrix: Iterable[Iterable[float]]) -> str:
+        return "\n".join(row(line) for line in matrix)
+
+    system = found.system
     table = Table(
-        title=escaped(f"implicit homogeneous controller, {found.method}"), show_header=False, title_justify="left"
+        title=escaped(f"implicit homogeneous controller of {system.name}, {found.method}"),
+        show_header=False,
+        title_justify="left",
     )
-    table.add_row("k_lin", row(found.k_lin))
-    table.add_row("k = k_lin + row", row(found.k))
-    table.add_row("P", "\n".join(row(line) for line in found.P))
+    table.add_row("states", escaped(", ".join(map(str, system.states))))
+    table.add_row("K, u = K x", rows(found.K))
+    table.add_row("K - K_0", rows(found.K_h))
+    table.add_row("P", rows(found.P))
     table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
     table.add_row("origin reached from the unit sphere within", f"{1.0 / (found.mu * found.alpha):.4g} s")
-    table.add_row("largest |k x| on the unit ball", f"{found.u_max:.6g} V")
-    table.add_row("largest states on the unit ball", row(found.extent))
-    poles = np.linalg.eigvals(found.A + np.outer(found.b, found.k_lin))
-    table.add_row("poles of A + b k_lin", ", ".join(f"{p:.4g}" for p in poles))
+    largest = (f"{q.name} {u:.6g}{_unit(q.unit)}" for q, u in zip(system.inputs, found.u_max, strict=True))
+    table.add_row("largest |(K - K_0) x| on the unit ball", escaped(", ".join(largest)))
+    extent = (f"{q.name} {x:.4g}{_unit(q.unit)}" for q, x in zip(system.states, found.extent, strict=True))
+    table.add_row("largest states on the unit ball", escaped(", ".join(extent)))
+    poles = np.linalg.eigvals(found.A + found.B @ found.K)
+    table.add_row("poles of A + B K", ", ".join(f"{p:.4g}" for p in poles))
     for name, margin in found.certificate.as_dict().items():
         table.add_row(f"certificate: {name}", f"{margin:.4g}")
     console.print(table)
+    for reason in reasons:
+        console.print(f"chosen: {escaped(reason)}", highlight=False)
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"
 
 
 def print_tuning(tuning: Tuning) -> None:

@@ -18,8 +18,9 @@ from matplotlib.figure import Figure
 
 from fmu_export.files import staging, write_file
 from fmu_export.variables import Value
-from ihc_fmu.design import Design, Options, inverse_design
+from ihc_fmu.design import Design
 from ihc_fmu.pendulum.start_values import design_values
+from ihc_fmu.synthesis import Options, inverse_design
 
 from .campaign import Job, Journal, Numbers, run_numbers
 from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square
@@ -142,7 +143,7 @@ class Problem:
         d = self.design
         found = {}
         for mu in grid.mu:
-            solved = inverse_design(d.A, d.b, d.k_lin, Options(mu=mu, alpha=d.alpha, u_max=1.0))
+            solved = inverse_design(d.system, Options(mu=mu, alpha=d.alpha, u_max=1.0))
             found |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
         return found
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 
-from ihc_fmu.certificate import relative_eigenvalues
 from ihc_fmu.companion import chain_form, generator
-from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN
 from ihc_fmu.pendulum.interface import upper_triangle, vector
+from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN
 from ihc_fmu.pendulum.start_values import zip_names
 
 from . import printed
@@ -112,10 +112,16 @@ def _norm_reading(name: str, P: Array) -> NormReading:
     return NormReading(
         name,
         P,
-        monotone=float(relative_eigenvalues(G.T @ P + P @ G, P)[0]),
-        decrease=-float(relative_eigenvalues(closed.T @ P + P @ closed, P)[-1]),
+        monotone=float(_relative_eigenvalues(G.T @ P + P @ G, P)[0]),
+        decrease=-float(_relative_eigenvalues(closed.T @ P + P @ closed, P)[-1]),
         start={**start, "capture_level": capture_level(P)},
     )
+
+
+def _relative_eigenvalues(M: Array, P: Array) -> Array:
+    """Return the eigenvalues of the symmetric M relative to P > 0, ascending: those of P^(-1/2) M P^(-1/2)."""
+    d = 1.0 / np.sqrt(np.diag(P))
+    return eigh(d[:, None] * (M + M.T) / 2 * d, d[:, None] * P * d, eigvals_only=True)
 
 
 def capture_level(P: Array) -> float:

@@ -17,7 +17,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from fmu_export.files import staging, write_file
-from ihc_fmu.design import largest_alpha
+from ihc_fmu.pendulum.paper_system import paper_system
+from ihc_fmu.synthesis import largest_alpha
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import parameter_set
 
@@ -146,7 +147,7 @@ def _theory(study: Study) -> tuple[Theory, dict[str, dict[str, float]]]:
     theory = Theory(
         gains=gains,
         norms=norms,
-        largest_alpha=largest_alpha(A, B, K_LIN, printed.MU),
+        largest_alpha=largest_alpha(paper_system(), printed.MU),
         same_as_linear=float(np.max(np.abs(voltages["LC"] - voltages["IHC"]))),
         listed_off=float(np.max(np.abs(listed_all - printed_all)) / np.max(np.abs(printed_all))),
         listed_pole=float(poles.real.max()),
@@ -258,7 +259,7 @@ def _page(
         steps=[f"{step * 1e3:g}" for step in study.size.sample_times],
         runs=runs,
         versions=versions(),
-        design=json.dumps({"P": np.round(about.P, 6).tolist(), "k": np.round(about.k, 6).tolist()}),
+        design=json.dumps({"P": np.round(about.P, 6).tolist(), "k": np.round(about.K_h[0], 6).tolist()}),
         fmus=shlex.quote(os.path.relpath(study.fmus, study.folder)),
         style=Markup((HERE / "animation.css").read_text(encoding="utf-8")),
         script=Markup((HERE / "animation.js").read_text(encoding="utf-8")),

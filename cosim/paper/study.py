@@ -16,9 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fmu_export.files import write_file
-from ihc_fmu.design import Design, Options, inverse_design
+from ihc_fmu.design import Design
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
+from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.pendulum.start_values import default_design
+from ihc_fmu.synthesis import Options, inverse_design
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
@@ -27,7 +29,7 @@ from ..metrics import angle_norm, evaluate, kept_upright, settling_time, wrapped
 from ..results import Result
 from ..scenario import BUILT_IN, Scenario, load_scenario
 from . import printed
-from .gains import K_LIN, TILT, A, B
+from .gains import TILT
 from .variants import PAPER_U_MAX, Variant, controllers, sweep_variants
 
 Changes = Mapping[str, Any]
@@ -182,7 +184,7 @@ class Study:
         """The designs that variants name, by file name: the paper's numbers at 10 V, and the project's default."""
         paper = Options(mu=printed.MU, alpha=printed.ALPHA, u_max=PAPER_U_MAX)
         return {
-            "paper.json": inverse_design(A, B, K_LIN, paper),
+            "paper.json": inverse_design(paper_system(), paper),
             "default.json": default_design(),
         }
 

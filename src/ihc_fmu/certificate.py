@@ -1,25 +1,32 @@
-"""The proof of a design, recomputed from its numbers by eigenvalues; a solver's status is never trusted."""
+"""The proof of a design, recomputed from its numbers; a solver's status is never trusted.
+
+Margins are computed by eigenvalues in coordinates in which P is the unit matrix. Whether the inequalities hold is decided
+besides in exact arithmetic, for the numbers as they are: no rounding proves what does not hold.
+"""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from fractions import Fraction
+from math import lcm
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import eigh, solve_triangular
 
 from fmu_export.errors import UserError
 
-from .companion import chain_form, generator
-from .homogeneity import chain, homogeneous_norm, norm_polynomial, to_blocks
+from .homogeneity import homogeneous_norm, norm_polynomial
 
 if TYPE_CHECKING:
     from .design import Design
 
 Array = np.ndarray
+Exact = list[list[Fraction]]
 
 IDENTITY_TOLERANCE = 1e-8
 """Relative residual allowed in the identities (1), which hold exactly but for rounding."""
+FLATTEST = 1e-14
+"""P's smallest eigenvalue relative to the largest, its diagonal scaled to 1, must be above this: rounding of its entries."""
 
 
 class CertificateError(UserError):
@@ -31,11 +38,12 @@ class Certificate:
     """Margins of a design; every one must be positive (`identities`: at most 1e-8).
 
     The margins of matrix inequalities are relative to P, which makes them the same in all coordinates: `decrease` is
-    -lambda_max of (A_0 + b k)' P + P (A_0 + b k) + alpha (G_d' P + P G_d) + disturbance terms, relative to P [1/s],
+    -lambda_max of (A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d) + disturbance terms, relative to P [1/s],
     `monotone` is lambda_min of G_d' P + P G_d relative to P [1], `positive` is lambda_min / lambda_max of P after its
-    diagonal is scaled to 1, `hurwitz` is minus the largest real part of the poles of A + b k_lin [1/s]. `identities` is
-    the largest relative residual of A_0 G_d - G_d A_0 = -mu A_0 and G_d b = b. `matched_disturbance` [V] is the bound on
-    a disturbance added to the control up to which ||x||_d provably still decreases everywhere (mu = 1; 0 for mu < 1).
+    diagonal is scaled to 1, `hurwitz` is minus the largest real part of the poles of A + B K [1/s]. `identities` is
+    the largest relative residual of A_0 G_d - G_d A_0 = -mu A_0 and G_d B = B. `matched_disturbance` [units of u] is the
+    bound on the Euclidean norm of a disturbance added to the control up to which ||x||_d provably still decreases everywhere
+    (mu = 1; 0 for mu < 1).
     """
 
     decrease: float
@@ -50,56 +58,37 @@ class Certificate:
         return asdict(self)
 
 
-def relative_eigenvalues(M: Array, P: Array) -> Array:
-    """Return the eigenvalues of the symmetric M relative to P > 0, ascending: those of P^(-1/2) M P^(-1/2)."""
-    d = 1.0 / np.sqrt(np.diag(P))
-    return eigh(d[:, None] * (M + M.T) / 2 * d, d[:, None] * P * d, eigvals_only=True)
-
-
-def decrease_matrix(design: Design, alpha: float) -> Array:
-    """Return (A_0 + b k)' P + P (A_0 + b k) + alpha (G_d' P + P G_d), the left side of (2) and (11)."""
-    closed = design.A + np.outer(design.b, design.k_lin) + alpha * generator(design.Phi, design.mu)
-    return closed.T @ design.P + design.P @ closed
-
-
-def disturbance_terms(design: Design) -> Array:
-    """Return what Remark 3 adds to inequality (2): psi I, and for a matched disturbance |d| <= d_max at mu = 1
-
-    P b b' P / tau + tau d_max^2 P >= 2 |y' P b| d_max on the unit sphere, with the tau of the design.
-    """
-    P, b = design.P, design.b
-    extra = design.psi * np.eye(len(b))
-    if design.d_max > 0.0:
-        Pb = P @ b
-        extra = extra + np.outer(Pb, Pb) / design.tau + design.tau * design.d_max**2 * P
-    return extra
-
-
 def certify(design: Design) -> Certificate:
     """Return the certificate of `design`, or raise CertificateError that names the inequality and its margin."""
-    P = design.P
-    d = 1.0 / np.sqrt(np.maximum(np.diag(P), 1e-300))
-    scaled = eigh(d[:, None] * P * d, eigvals_only=True)
-    positive = float(scaled[0] / scaled[-1])
+    P, form = design.P, design.form
     if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max():
         raise CertificateError(f"P must be symmetric, found an asymmetry of {np.abs(P - P.T).max():.3g}")
-    if not positive > 1e-14 or np.diag(P).min() <= 0.0:
-        raise CertificateError(f"P > 0 fails: smallest eigenvalue relative to the largest {positive:.3g}")
-    G = generator(design.Phi, design.mu)
+    positive, L_t = _positivity(P, form.T_inverse)
+    unit = UnitBall(design, L_t)
+    exact = _ExactSides(design)
     certificate = Certificate(
-        decrease=-float(relative_eigenvalues(decrease_matrix(design, design.alpha) + disturbance_terms(design), P)[-1]),
-        monotone=float(relative_eigenvalues(G.T @ P + P @ G, P)[0]),
+        decrease=-float(np.linalg.eigvalsh(unit.decrease(design.alpha) + unit.disturbance_terms())[-1]),
+        monotone=float(np.linalg.eigvalsh(unit.W + unit.W.T)[0]),
         positive=positive,
-        hurwitz=-float(np.linalg.eigvals(design.A + np.outer(design.b, design.k_lin)).real.max()),
-        identities=_identity_residual(design, G),
-        matched_disturbance=largest_matched_disturbance(design),
+        hurwitz=-float(np.linalg.eigvals(design.A + design.B @ design.K).real.max()),
+        identities=_identity_residual(design),
+        matched_disturbance=unit.largest_matched_disturbance(),
     )
-    _require(certificate.hurwitz, "A + b k_lin Hurwitz", "1/s")
-    _require(certificate.monotone, "G_d' P + P G_d > 0", "relative to P")
+    gain = "A + b k_lin" if design.system.m == 1 else "A + B K"
+    _require(certificate.hurwitz > 0.0, f"{gain} Hurwitz", certificate.hurwitz, "1/s")
+    _require(
+        certificate.monotone > 0.0 and is_positive(exact.monotone()),
+        "G_d' P + P G_d > 0",
+        certificate.monotone,
+        "relative to P",
+    )
     name = "(A_0 + b k)' P + P (A_0 + b k) + alpha (G_d' P + P G_d) <= 0"
     robust = design.psi > 0.0 or design.d_max > 0.0
     _require(
-        certificate.decrease, name.replace(" <=", " + disturbance terms <=") if robust else name, "1/s relative to P"
+        certificate.decrease > 0.0 and is_positive(exact.decrease()),
+        name.replace(" <=", " + disturbance terms <=") if robust else name,
+        certificate.decrease,
+        "1/s relative to P",
     )
     if certificate.identities > IDENTITY_TOLERANCE:
         raise CertificateError(
@@ -109,54 +98,158 @@ def certify(design: Design) -> Certificate:
     return certificate
 
 
-def _require(margin: float, inequality: str, unit: str) -> None:
-    if not margin > 0.0:
+def _positivity(P: Array, T_inverse: Array) -> tuple[float, Array]:
+    """Return lambda_min/lambda_max of P with its diagonal scaled to 1, and L' with T^-T P T^-1 = L L'."""
+    smallest = float(np.diag(P).min())
+    positive = smallest
+    if smallest > 0.0:
+        d = 1.0 / np.sqrt(np.diag(P))
+        values = np.linalg.eigvalsh(d[:, None] * P * d)
+        positive = float(values[0] / values[-1])
+    Pz = T_inverse.T @ P @ T_inverse
+    try:
+        if positive <= FLATTEST:
+            raise np.linalg.LinAlgError
+        return positive, np.linalg.cholesky((Pz + Pz.T) / 2).T
+    except np.linalg.LinAlgError:
+        raise CertificateError(f"P > 0 fails: smallest eigenvalue relative to the largest {positive:.3g}") from None
+
+
+def _require(holds: bool, inequality: str, margin: float, unit: str) -> None:
+    if not holds:
         raise CertificateError(f"{inequality} fails: margin {margin:.3g} ({unit}), must be positive")
 
 
-def _identity_residual(design: Design, G: Array) -> float:
-    """Return the larger relative residual of the identities (1), in chain coordinates, where scales are comparable."""
-    form = chain_form(design.A, design.b)
-    A_0 = design.A - np.outer(design.b, design.row)
-    residuals = (
-        (A_0 @ G - G @ A_0 + design.mu * form.A_0, np.abs(A_0) @ np.abs(G) + np.abs(G) @ np.abs(A_0)),
-        ((G @ design.b - design.b)[:, None], (np.abs(G) @ np.abs(design.b) + np.abs(design.b))[:, None]),
-    )
-    return max(float(np.abs(residual).max() / max(scale.max(), 1e-300)) for residual, scale in residuals)
+class UnitBall:
+    """The closed loop in coordinates y = L' T x in which x' P x = y' y, so that matrices there are relative to P."""
+
+    def __init__(self, design: Design, L_t: Array) -> None:
+        form, inverse = design.form, np.linalg.inv(L_t)
+        self.design = design
+        self.closed = L_t @ (form.T @ (design.A + design.B @ design.K) @ form.T_inverse) @ inverse
+        self.W = L_t @ (form.weights(design.mu)[:, None] * inverse)
+        self.B = L_t @ form.Bz
+        self.to_x = form.T_inverse @ inverse
+
+    def decrease(self, alpha: float) -> Array:
+        """Return (A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d), the left side of (2) and (11)."""
+        F = self.closed + alpha * self.W
+        return F + F.T
+
+    def disturbance_terms(self) -> Array:
+        """Return what Remark 3 adds to inequality (2): psi I, and for a matched disturbance |d| <= d_max at mu = 1
+
+        P B B' P / tau + tau d_max^2 P >= 2 |y' P B| d_max on the unit sphere, with the tau of the design.
+        """
+        d = self.design
+        extra = d.psi * self.to_x.T @ self.to_x
+        if d.d_max > 0.0:
+            extra = extra + self.B @ self.B.T / d.tau + d.tau * d.d_max**2 * np.eye(d.n)
+        return extra
+
+    def largest_matched_disturbance(self) -> float:
+        """Return the largest d_max for which this P proves d||x||_d/dt < 0 for all x and |d| < d_max; 0 for mu < 1.
+
+        With S = -(decrease at alpha = 0) > 0, some tau must give S - B B'/tau - tau d^2 I >= 0. For a given tau the largest
+        d^2 is lambda_min(S - B B'/tau)/tau; a scan over tau finds the best. For mu < 1 the disturbance dominates near the
+        origin and only practical convergence can be claimed.
+        """
+        if self.design.mu < 1.0:
+            return 0.0
+        S, reach = -self.decrease(0.0), self.B @ self.B.T
+        taus = np.geomspace(1e-4, 1e4, 801) * float(np.linalg.norm(reach, 2))
+        rates = np.linalg.eigvalsh(S - reach / taus[:, None, None])[:, 0] / taus
+        return float(np.sqrt(max(0.0, rates.max())))
 
 
-def largest_matched_disturbance(design: Design) -> float:
-    """Return the largest d_max [V] for which this P proves d||x||_d/dt < 0 for all x and |d| < d_max; 0 for mu < 1.
+class _ExactSides:
+    """The left sides of the inequalities as fractions: what the numbers of the design mean, without rounding."""
 
-    With S = -P^(-1/2) M P^(-1/2) > 0, M the left side of (11) at alpha = 0, and c = P^(1/2) b, some tau must give
-    S - c c'/tau - tau d^2 I >= 0. For a given tau the largest d^2 is lambda_min(S - c c'/tau)/tau; a scan over tau finds
-    the best. For mu < 1 the disturbance dominates near the origin and only practical convergence can be claimed.
+    def __init__(self, design: Design) -> None:
+        self.design = design
+        self.P = _exact((design.P + design.P.T) / 2)
+        self.PG = _product(self.P, _exact(design.form.generator(design.mu)))
+
+    def monotone(self) -> Exact:
+        """Return G_d' P + P G_d."""
+        return _plus_transpose(self.PG)
+
+    def decrease(self) -> Exact:
+        """Return minus the left side of (11), with the terms of Remark 3."""
+        d = self.design
+        BK = _product(_exact(d.B), _exact(d.K))
+        closed = [[a + b for a, b in zip(p, q, strict=True)] for p, q in zip(_exact(d.A), BK, strict=True)]
+        alpha, n = Fraction(d.alpha), d.n
+        terms = [(-1, _plus_transpose(_product(self.P, closed))), (-alpha, self.monotone())]
+        if d.psi > 0.0:
+            terms.append((-Fraction(d.psi), [[Fraction(i == j) for j in range(n)] for i in range(n)]))
+        if d.d_max > 0.0:
+            PB = _product(self.P, _exact(d.B))
+            terms += [
+                (-1 / Fraction(d.tau), _product(PB, [list(column) for column in zip(*PB, strict=True)])),
+                (-Fraction(d.tau) * Fraction(d.d_max) ** 2, self.P),
+            ]
+        return [[sum((c * M[i][j] for c, M in terms), Fraction(0)) for j in range(n)] for i in range(n)]
+
+
+def _exact(M: Array) -> Exact:
+    return [[Fraction(entry) for entry in row] for row in M.tolist()]
+
+
+def _product(A: Exact, B: Exact) -> Exact:
+    columns = list(zip(*B, strict=True))
+    return [[sum((a * b for a, b in zip(row, column, strict=True)), Fraction(0)) for column in columns] for row in A]
+
+
+def _plus_transpose(M: Exact) -> Exact:
+    return [[M[i][j] + M[j][i] for j in range(len(M))] for i in range(len(M))]
+
+
+def is_positive(M: Exact) -> bool:
+    """Return whether a symmetric matrix is positive definite: its leading principal minors are positive (Sylvester).
+
+    They are found without fractions, by E. H. Bareiss, Math. Comp. 22 (1968), 565-578.
     """
-    if design.mu < 1.0:
-        return 0.0
-    L = np.linalg.cholesky(design.P)
-    inner = solve_triangular(L, decrease_matrix(design, 0.0), lower=True)
-    S = -solve_triangular(L, inner.T, lower=True)
-    S = (S + S.T) / 2
-    c = L.T @ design.b
-    reach = float(c @ c)
-    best = 0.0
-    for tau in np.geomspace(1e-4, 1e4, 801) * reach:
-        best = max(best, float(np.linalg.eigvalsh(S - np.outer(c, c) / tau)[0]) / tau)
-    return float(np.sqrt(best))
+    common = lcm(*(entry.denominator for row in M for entry in row))
+    rows = [[int(entry * common) for entry in row] for row in M]
+    previous = 1
+    for k in range(len(rows)):
+        pivot = rows[k][k]
+        if pivot <= 0:
+            return False
+        for i in range(k + 1, len(rows)):
+            for j in range(k + 1, len(rows)):
+                rows[i][j] = (pivot * rows[i][j] - rows[i][k] * rows[k][j]) // previous
+        previous = pivot
+    return True
+
+
+def _identity_residual(design: Design) -> float:
+    """Return the larger relative residual of the identities (1), in block coordinates, where scales are comparable.
+
+    There G_d is diag(w), so that what is left of both is what T (A + B K_0) T^-1 and T B have besides N and B_k.
+    """
+    form, w = design.form, design.form.weights(design.mu)
+    parts = form.T @ design.A @ form.T_inverse, form.T @ design.B @ form.K_0 @ form.T_inverse
+    residual = (parts[0] + parts[1]) * (w[None, :] - w[:, None] + design.mu)
+    scale = max(float((np.abs(part) * (w[None, :] + w[:, None])).max()) for part in parts)
+    lost = form.T @ design.B - form.Bz
+    scale, size = max(scale, 1e-300), max(float(np.abs(form.Bz).max()), 1e-300)
+    return max(float(np.abs(residual).max()) / scale, float(np.abs(lost).max()) / size)
 
 
 def norm_of(design: Design, x: Array) -> float:
     """Return ||x||_d for the design's P and dilation."""
-    Pz = to_blocks(design.Phi.tolist(), design.P.tolist())
-    z = (design.Phi @ np.asarray(x, float)).tolist()
-    return homogeneous_norm(norm_polynomial(Pz, z, chain(design.n), design.mu), design.mu)
+    form = design.form
+    Pz = (form.T_inverse.T @ design.P @ form.T_inverse).tolist()
+    z = (form.T @ np.asarray(x, float)).tolist()
+    return homogeneous_norm(norm_polynomial(Pz, z, form.exponents, design.mu), design.mu)
 
 
 def settling_time_bound(design: Design, x0: Array) -> float:
     """Return T(x0) [s] by which the linear closed loop has reached the origin: r0^mu / (mu alpha), r0 = ||x0||_d.
 
     It follows from d||x||_d/dt <= -alpha ||x||_d^(1-mu); at mu = 1 it is the bound r0/alpha of Corollary 1. It holds for
-    the ideal law, a_min = 0 and b_max above r0, and unlimited voltage.
+    the ideal law, a_min = 0 and b_max above r0, and unlimited inputs.
     """
     return norm_of(design, x0) ** design.mu / (design.mu * design.alpha)

@@ -55,6 +55,14 @@ SHIFT = 600
 """States beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times themselves."""
 
 
+LEAST = 2.0**-1000
+"""Measurements and filtered values below this, about 1e-301, count as 0: further decay would reach subnormal numbers, on
+which processors are many times slower."""
+
+LEAST_ESTIMATE = 2.0**-300
+"""The same for the estimates of an observer, about 5e-91: models multiply up to three of them."""
+
+
 class NormPolynomial(NamedTuple):
     """c_0, ..., c_{2e} of Remark 5's polynomial for the state d(-exponent ln 2) z."""
 
@@ -171,6 +179,11 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
 def _high(a: float) -> float:
     t = _SPLIT * a
     return t - (t - a)
+
+
+def flushed(value: float, least: float) -> float:
+    """Return `value`, 0 where it is smaller in magnitude than `least`; NaN stays."""
+    return 0.0 if 0.0 < abs(value) < least else value
 
 
 def shift_of(x: Vector) -> int:

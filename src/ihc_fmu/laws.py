@@ -191,6 +191,16 @@ def controls(design: BlockDesign, state: BlockState, r: float, h: float | None) 
     return u if state.shift == 0 else [unshifted(entry, state.shift) for entry in u]
 
 
+def integrand(design: BlockDesign, Kiz: Matrix, r: float, state: BlockState) -> list[float]:
+    """Return v' = r^(1-2 mu) K_i d(-ln r) x of the integral action with Kiz = K_i T^-1 (m, n), for the norm r in the law.
+
+    In block coordinates: v'_i = s sum over j of Kiz_ij s^(e_j + 1) z_j, s = r^-mu.
+    """
+    s = inverse_power(r, design.mu)
+    rates = [s * dot(g_i, state.z) for g_i in gains(Kiz, design.exponents, design.mu, r)]
+    return rates if state.shift == 0 else [unshifted(rate, state.shift) for rate in rates]
+
+
 def unshifted(value: float, shift: int) -> float:
     """Return 2^shift times a value computed of a state taken 2^-shift times, bounded so that none overflows; NaN for NaN."""
     return value if isnan(value) else min(MOST, max(-MOST, value)) * 2.0**shift

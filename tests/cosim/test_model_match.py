@@ -9,8 +9,8 @@ import pytest
 
 from cosim.model_match import Model, design_model, distance, misfit, plant_model, remarks
 from ihc_fmu.companion import chain_form
-from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN
 from ihc_fmu.pendulum.interface import matrix, vector
+from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN
 from ihc_fmu.pendulum.start_values import zip_names
 from plant_fmu.interface import start_values
 from plant_fmu.parameters import PARAMETER_SETS

@@ -24,7 +24,7 @@ from fmu_export import native_fmu
 from fmu_export.native_build import BINARIES, PLATFORMS, BuildError, host_platform
 from fmu_export.native_fmu import export_native_fmu
 from fmu_export.native_unit import start_value_file, variable_table
-from ihc_fmu.design import PAPER_A, PAPER_B
+from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import PARAMETER_SETS

@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ihc_fmu.companion import weights
-from ihc_fmu.design import PAPER_A, PAPER_B, PAPER_K_LIN, Options, inverse_design
+from ihc_fmu.companion import chain_form, weights
 from ihc_fmu.homogeneity import chain, homogeneous_norm, norm_polynomial
 from ihc_fmu.laws import chain_design, implicit_homogeneous
 from ihc_fmu.pendulum import interface
+from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN, paper_system
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.pendulum.unit import IhcControllerUnit
+from ihc_fmu.synthesis import Options, inverse_design
 from plant_fmu import interface as plant_interface
 from plant_fmu.parameters import parameter_set
 from plant_fmu.unit import QubePlant
@@ -21,6 +22,16 @@ from plant_fmu.unit import QubePlant
 PLANT_OUTPUTS = [v.name for v in plant_interface.INTERFACE.calculated]
 CONTROLLER_OUTPUTS = [v.name for v in interface.INTERFACE.calculated]
 SEEN_BY_CONTROLLER = [PLANT_OUTPUTS.index(n) for n in ("theta_encoder", "delta_encoder", "theta_dot", "delta_dot")]
+
+
+def chain_of(design):
+    """Return the chain form of a design for one input."""
+    return chain_form(design.A, design.b)
+
+
+def chain_gain(design):
+    """Return the homogeneous gain in the chain form, shape (n,)."""
+    return np.linalg.solve(chain_of(design).Phi.T, design.k_lin + chain_of(design).row)
 
 
 class IdealLoop:
@@ -31,8 +42,11 @@ class IdealLoop:
 
     def __init__(self, design, a_min=0.0):
         self.design, self.a_min = design, a_min
-        d = design
-        self.law = chain_design(d.Phi.tolist(), d.row.tolist(), d.k_lin.tolist(), d.P.tolist(), d.mu)
+        form = chain_of(design)
+        self.Phi = form.Phi
+        self.law = chain_design(
+            form.Phi.tolist(), form.row.tolist(), design.k_lin.tolist(), design.P.tolist(), design.mu
+        )
 
     def on_the_sphere(self, rng):
         """Return a random x with x' P x = 1."""
@@ -42,16 +56,16 @@ class IdealLoop:
     def dilated(self, x, r):
         """Return d(ln r) x, through chain coordinates."""
         d = self.design
-        return np.linalg.solve(d.Phi, r ** weights(d.n, d.mu) * (d.Phi @ x))
+        return np.linalg.solve(self.Phi, r ** weights(d.n, d.mu) * (self.Phi @ x))
 
     def norm(self, x, guess=1.0):
         d = self.design
-        return homogeneous_norm(norm_polynomial(self.law.Pz, (d.Phi @ x).tolist(), chain(d.n), d.mu), d.mu, guess)
+        return homogeneous_norm(norm_polynomial(self.law.Pz, (self.Phi @ x).tolist(), chain(d.n), d.mu), d.mu, guess)
 
     def velocity(self, x, r, disturbance=0.0):
         """Return x' for the norm r in the law."""
         d, r = self.design, max(self.a_min, r)
-        return d.A @ x + d.b * (implicit_homogeneous(self.law, r, x, d.Phi @ x)[0] + disturbance)
+        return d.A @ x + d.b * (implicit_homogeneous(self.law, r, x, self.Phi @ x)[0] + disturbance)
 
     def rate(self, x, r, disturbance=0.0):
         """Return d||x||_d/dt at x with ||x||_d = r, by a central difference along the motion."""
@@ -102,10 +116,10 @@ def design():
 
 
 @pytest.fixture(scope="session")
-def designs(paper, design):
+def designs(design):
     """Designs for the paper's system by mu, with alpha at two thirds of the largest feasible one or more."""
     alphas = {0.25: 0.5, 0.5: 0.35}
-    return {mu: inverse_design(*paper, options=Options(mu=mu, alpha=alpha)) for mu, alpha in alphas.items()} | {
+    return {mu: inverse_design(paper_system(), Options(mu=mu, alpha=alpha)) for mu, alpha in alphas.items()} | {
         1.0: design
     }
 

@@ -1,22 +1,18 @@
 """The proof of a design: every check can fail, its margins are invariant, and simulations obey its promises."""
 
 from dataclasses import replace
+from fractions import Fraction
 from math import log
 
 import numpy as np
 import pytest
 from scipy.linalg import eigh, expm
 
-from ihc_fmu.certificate import (
-    CertificateError,
-    certify,
-    decrease_matrix,
-    norm_of,
-    relative_eigenvalues,
-    settling_time_bound,
-)
-from ihc_fmu.companion import chain_form, generator
+from ihc_fmu.block_form import block_form
+from ihc_fmu.certificate import CertificateError, certify, is_positive, norm_of, settling_time_bound
 from ihc_fmu.design import Design
+from ihc_fmu.system import System
+from tests.ihc_fmu.conftest import chain_of
 
 X_0 = np.array([0.0, 0.1, 0.0, 0.0])
 
@@ -38,7 +34,8 @@ def test_norm_decreases_at_the_proven_rate_everywhere(designs, ideal_loop, mu):
 def test_proven_rate_is_nearly_attained_in_the_worst_direction(designs, ideal_loop, mu):
     """The solver pushes the inequality to its bound, so the test above could not hold with a larger alpha."""
     design = designs[mu]
-    _, vectors = eigh(decrease_matrix(design, design.alpha), design.P)
+    closed = design.A + design.B @ design.K + design.alpha * design.form.generator(mu)
+    _, vectors = eigh(closed.T @ design.P + design.P @ closed, design.P)
     y = vectors[:, -1]  # of unit length relative to P
     assert ideal_loop(design).rate(y, 1.0) == pytest.approx(-design.alpha, rel=1e-3)
 
@@ -52,7 +49,7 @@ def test_convergence_is_finite_within_the_certified_time(designs, ideal_loop, mu
     t, x = ideal_loop(design).run(X_0, lambda t, x, r: r < 1e-4)
     assert t + settling_time_bound(design, x) < bound
     assert np.hypot(*x[:2]) < 1e-6
-    linear = expm((design.A + np.outer(design.b, design.k_lin)) * t) @ X_0
+    linear = expm((design.A + design.B @ design.K) * t) @ X_0
     assert np.hypot(*linear[:2]) > 1e-4
 
 
@@ -67,7 +64,7 @@ def test_pendulum_settles_when_independent_simulations_say(design, ideal_loop):
 
     ideal_loop(design, a_min=1e-3).run(X_0, settled)
     np.testing.assert_allclose(last, [0.89, 1.55, 1.72], rtol=0.04)
-    step, x = expm((design.A + np.outer(design.b, design.k_lin)) * 0.01), X_0
+    step, x = expm((design.A + design.B @ design.K) * 0.01), X_0
     for k in range(1300):
         slow[np.hypot(x[0], x[1]) > levels] = 0.01 * k
         x = step @ x
@@ -76,8 +73,13 @@ def test_pendulum_settles_when_independent_simulations_say(design, ideal_loop):
 
 def test_settling_bound_shrinks_with_the_state_and_is_zero_at_the_origin(design):
     assert settling_time_bound(design, np.zeros(4)) == 0.0
-    halved = expm(-generator(design.Phi, 1.0) * log(2.0)) @ X_0
+    halved = expm(-design.form.generator(1.0) * log(2.0)) @ X_0
     assert settling_time_bound(design, halved) == pytest.approx(settling_time_bound(design, X_0) / 2, rel=1e-9)
+
+
+def moved_system(d, T):
+    inverse = np.linalg.inv(T)
+    return System(A=T @ d.A @ inverse, B=T @ d.B, K=d.K @ inverse)
 
 
 @pytest.mark.parametrize("mu", [0.25, 1.0])
@@ -86,7 +88,7 @@ def test_margins_are_the_same_in_all_coordinates(designs, mu):
     d = replace(d, alpha=0.8 * d.alpha)  # a margin far above rounding
     T = np.random.default_rng(4).normal(size=(4, 4))
     inverse = np.linalg.inv(T)
-    moved = Design(T @ d.A @ inverse, T @ d.b, d.k_lin @ inverse, inverse.T @ d.P @ inverse, d.mu, d.alpha)
+    moved = Design(moved_system(d, T), inverse.T @ d.P @ inverse, d.mu, d.alpha)
     for name in ("decrease", "monotone", "hurwitz"):
         assert getattr(moved.certificate, name) == pytest.approx(getattr(d.certificate, name), rel=1e-3)
     assert moved.certificate.matched_disturbance == pytest.approx(d.certificate.matched_disturbance, rel=1e-3)
@@ -94,7 +96,7 @@ def test_margins_are_the_same_in_all_coordinates(designs, mu):
 
 def test_margins_have_their_closed_form_for_a_scalar_system():
     """x' = u, k_lin = -3, P = 4: decrease 2 (3 - alpha), monotone 2, and |d| < 3 |x| at |x| = 1/2."""
-    d = Design(np.zeros((1, 1)), np.ones(1), np.array([-3.0]), np.array([[4.0]]), mu=1.0, alpha=1.0)
+    d = Design(System(A=np.zeros((1, 1)), B=np.ones(1), K=np.array([-3.0])), np.array([[4.0]]), mu=1.0, alpha=1.0)
     c = d.certificate
     assert (c.decrease, c.monotone, c.positive, c.hurwitz) == pytest.approx((4.0, 2.0, 1.0, 3.0))
     assert c.identities == 0.0
@@ -103,12 +105,13 @@ def test_margins_have_their_closed_form_for_a_scalar_system():
     assert d.u_max == pytest.approx(1.5)
 
 
-def test_relative_eigenvalues_solve_the_generalized_problem():
-    rng = np.random.default_rng(1)
-    M, L = rng.normal(size=(5, 5)), rng.normal(size=(5, 5))
-    M, P = M + M.T, L @ L.T + np.eye(5)
-    expected = np.sort(np.linalg.eigvals(np.linalg.solve(P, M)).real)
-    np.testing.assert_allclose(relative_eigenvalues(M, P), expected, rtol=1e-9)
+def test_definiteness_is_decided_without_rounding():
+    """Eigenvalues 2 and 2^-200 or -2^-200, which no double tells apart."""
+    tiny = Fraction(1, 2**200)
+    for sign in (1, -1):
+        M = [[1 + sign * tiny, 1 - sign * tiny], [1 - sign * tiny, 1 + sign * tiny]]
+        assert is_positive([[Fraction(entry) for entry in row] for row in M]) == (sign > 0)
+    assert not is_positive([[Fraction(0)]])
 
 
 def test_matched_disturbance_is_claimed_only_at_mu_one(designs):
@@ -123,12 +126,12 @@ def test_matched_disturbance_is_claimed_only_at_mu_one(designs):
         (lambda d: {"P": -d.P}, "P > 0 fails"),
         (lambda d: {"P": d.P + np.triu(d.P, 1)}, "P must be symmetric"),
         (
-            lambda d: {"P": d.Phi.T @ (np.ones((4, 4)) + 0.01 * np.eye(4)) @ d.Phi},
+            lambda d: {"P": chain_of(d).Phi.T @ (np.ones((4, 4)) + 0.01 * np.eye(4)) @ chain_of(d).Phi},
             r"G_d' P \+ P G_d > 0 fails: margin -",
         ),
         (lambda d: {"alpha": 0.21}, r"\+ alpha \(G_d' P \+ P G_d\) <= 0 fails: margin -.* \(1/s relative to P\)"),
-        (lambda d: {"k_lin": -d.k_lin}, r"A \+ b k_lin Hurwitz fails: margin -"),
-        (lambda d: {"k_lin": 0.99 * d.k_lin}, "<= 0 fails: margin -"),
+        (lambda d: {"system": d.system.changed(K=-d.K)}, r"A \+ b k_lin Hurwitz fails: margin -"),
+        (lambda d: {"system": d.system.changed(K=0.99 * d.K)}, "<= 0 fails: margin -"),
         (lambda d: {"psi": 1e-3}, r"\+ disturbance terms <= 0 fails: margin -"),
         (lambda d: {"d_max": 0.02}, r"\+ disturbance terms <= 0 fails: margin -"),
     ],
@@ -144,9 +147,9 @@ def test_proof_for_one_degree_is_none_for_another(designs):
 
 
 def test_dilation_of_another_system_breaks_the_identities(design):
-    """Eq. (1) is checked with the Phi that the controller gets: that of an arm with more damping is refused."""
+    """Eq. (1) is checked with the coordinates that the controller gets: that of an arm with more damping is refused."""
     other = replace(design, alpha=0.1)
     damped = design.A - np.diag([0.0, 0.0, 1e-3, 0.0])
-    object.__setattr__(other, "Phi", chain_form(damped, design.b).Phi)
+    object.__setattr__(other, "form", block_form(damped, design.B))
     with pytest.raises(CertificateError, match=r"= -mu A_0 and G_d b = b fail: relative residual .*, allowed 1e-08"):
         certify(other)

@@ -39,6 +39,8 @@ enum {
     SHIFT = 600 /* states beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times them */
 };
 
+#define LEAST 0x1p-1000         /* smaller measurements and filtered values count as 0 ... */
+#define LEAST_ESTIMATE 0x1p-300 /* ... and smaller estimates of an observer */
 #define LEAST_GUESS 1e-12 /* a guess of the norm is used between these two [1] */
 #define LARGEST_GUESS 1e12
 #define LEAST_ORDINARY 0x1p-200 /* block coordinates between these two need no scaling ... */
@@ -654,6 +656,18 @@ static inline void semi_implicit_law(const block_design *d, double r, double h, 
 static inline double unshifted(double value, int shift)
 {
     return shift == 0 || isnan(value) ? value : clamp(value, -MOST, MOST) * (shift > 0 ? LARGE : SMALL);
+}
+
+/* v' = r^(1-2 mu) K_i d(-ln r) x of the integral action, Kiz = K_i T^-1: s sum of Kiz_ij s^(e_j + 1) z_j. */
+static inline void integrand(const block_design *d, const double *Kiz, double r, const block_state *state, double *rates)
+{
+    const int n = states_of(d);
+    const double s = inverse_power(r, d->mu);
+    double g[BLOCK_GAINS];
+    make_gains(d, Kiz, r, g);
+    for (int i = 0; i < inputs_of(d); i++) {
+        rates[i] = unshifted(s * dot(&g[i * n], state->z, n), state->shift);
+    }
 }
 
 /* The IHC's inputs for the norm r in the law, semi-implicit for the sample time h [s], explicit for 0. */

@@ -6,8 +6,6 @@ enum { N = IHC_ORDER };
 
 static const double PI = 3.14159265358979323846;
 static const double TURN = 2.0 * 3.14159265358979323846;
-static const double LEAST = 0x1p-1000;         /* smaller measurements and filtered values count as 0 ... */
-static const double LEAST_ESTIMATE = 0x1p-300; /* ... and smaller estimates of an observer */
 static const double BIAS_DECAY = 1e-3;         /* rate at which the Kalman filter forgets the bias [1/s] */
 static const double REST_VELOCITY = 0.05;      /* the pendulum counts as at rest below this [rad/s] ... */
 static const double REST_COSINE = -0.999;      /* ... within this of hanging */

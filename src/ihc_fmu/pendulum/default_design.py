@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..design import PAPER_A, PAPER_B, PAPER_K_LIN, Design, Options, inverse_design
+from ..design import Design
+from ..synthesis import Options, inverse_design
+from .paper_system import paper_system
 
 FILE = Path(__file__).with_name("default_design.json")
 
 
 def solved() -> Design:
     """Return the IHC for the paper's A, b and k_lin: mu = 1, alpha = 0.2 1/s, |k x| <= 1.5 V on the unit ball."""
-    return inverse_design(PAPER_A, PAPER_B, PAPER_K_LIN, Options())  # type: ignore[arg-type]
+    return inverse_design(paper_system(), Options())
 
 
 def default_design() -> Design:

@@ -11,6 +11,7 @@ from fmu_export.variables import Value
 from plant_fmu.dynamics import motor
 from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 
+from ..companion import chain_form
 from ..design import Design
 from ..homogeneity import dot, solve
 from ..kalman import kalman_gain, linearize
@@ -49,13 +50,14 @@ def check_order(design: Design) -> None:
 def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit: float = 10.0) -> dict[str, Value]:
     """Return the start values that a design decides, the capture level for a voltage limit [V]; raises as `check_order`."""
     check_order(design)
+    form = chain_form(design.A, design.b)
     smc = smc or fitted_smc(design.A, design.b)
     values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho}
-    for name, numbers in (("k_lin", design.k_lin), ("row", design.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):
+    for name, numbers in (("k_lin", design.k_lin), ("row", form.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):
         values |= zip_names(vector(name), numbers)
-    values |= zip_names(matrix("Phi"), design.Phi.ravel())
+    values |= zip_names(matrix("Phi"), form.Phi.ravel())
     values |= zip_names(upper_triangle("P"), design.P[np.triu_indices(ORDER)])
-    k = design.k.tolist()
+    k = (design.k_lin + form.row).tolist()
     largest = dot(
         k, [entry for (entry,) in solve(design.P.tolist(), [[entry] for entry in k])]
     )  # u_max^2, in plain arithmetic

@@ -13,6 +13,7 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from .. import homogeneity, laws
+from ..homogeneity import LEAST, flushed
 from ..sampled_unit import NOT_FINITE, Fault, SampledState, SampledUnit
 from . import velocity
 from .interface import (
@@ -30,7 +31,6 @@ from .interface import (
 from .nominal_model import nominal_model
 from .supervisor import Capture, Mode, next_mode
 from .swing_up import saturate, swing_up, swing_up_voltage
-from .velocity import LEAST, flushed
 
 TURN = 2.0 * math.pi
 

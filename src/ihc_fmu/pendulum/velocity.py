@@ -8,24 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, sqrt
 
+from ..homogeneity import LEAST, LEAST_ESTIMATE, flushed
 from .nominal_model import NominalModel, predict
 
 State = tuple[float, float, float, float]
 
-LEAST = 2.0**-1000
-"""Measurements and filtered values below this, about 1e-301, count as 0: further decay would reach subnormal numbers, on
-which processors are many times slower."""
-
-LEAST_ESTIMATE = 2.0**-300
-"""The same for the estimates of an observer, about 5e-91: the nominal model multiplies three of them."""
-
 BIAS_DECAY = 1e-3
 """Rate [1/s] at which the Kalman filter forgets the bias, which no measurement pins down for ever."""
-
-
-def flushed(value: float, least: float) -> float:
-    """Return `value`, 0 where it is smaller in magnitude than `least`; NaN stays."""
-    return 0.0 if 0.0 < abs(value) < least else value
 
 
 def filter_decay(cutoff: float, h: float) -> float:

@@ -22,11 +22,11 @@ from matplotlib.image import imread
 from cosim.export import export_units
 from cosim.paper import figures, report
 from cosim.paper.claims import Claim, Judge
-from cosim.paper.gains import K_LIN, A, B
 from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
 from cosim.scenario import load_scenario, run_scenario
-from ihc_fmu.design import Options, inverse_design
+from ihc_fmu.pendulum.paper_system import paper_system
+from ihc_fmu.synthesis import Options, inverse_design
 from tests.cosim.command import journal_rows
 
 FIGURES = [f"figure_{n}.png" for n in (3, 4, 5, 6)] + ["shares.png", "chattering.png", "swing_ups.png"]
@@ -341,7 +341,7 @@ def test_animation_data_cannot_end_its_script_element(made_result):
 
 def test_what_the_printed_P_does_depends_on_no_exported_design(made, tmp_path):
     """Everything else in a study names its design, so that FMUs exported from another one change nothing."""
-    export_units(inverse_design(A, B, K_LIN, Options(mu=0.5, alpha=0.2, u_max=1.5)), output=tmp_path)
+    export_units(inverse_design(paper_system(), Options(mu=0.5, alpha=0.2, u_max=1.5)), output=tmp_path)
     _, runs = report._theory(replace(made.study, fmus=tmp_path))
     rows = table(made, "printed_k") + table(made, "printed_P")
     found = {row["reading"]: float(row["steady_rms"]) for row in rows if row["kept"] == "True"}

@@ -3,11 +3,15 @@
 import numpy as np
 import pytest
 
-from ihc_fmu.design import Design, inverse_design
+from ihc_fmu.design import Design
 from ihc_fmu.pendulum.interface import INTERFACE, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.pendulum.start_values import controller_start_values, design_values, nominal_values
 from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
+from ihc_fmu.synthesis import inverse_design
+from ihc_fmu.system import System
 from plant_fmu.parameters import PARAMETER_SETS
+from tests.ihc_fmu.conftest import chain_gain, chain_of
 
 # x' P x of the same controller with |k x| <= 10 V on the unit ball, an independent solution of the inequalities
 P_UMAX_10 = np.array(
@@ -24,7 +28,7 @@ def test_default_design_is_the_paper_controller(design, paper):
     A, b, k_lin = paper
     for found, expected in ((design.A, A), (design.b, b), (design.k_lin, k_lin)):
         np.testing.assert_array_equal(found, expected)
-    np.testing.assert_array_equal(design.P, inverse_design(A, b, k_lin).P)
+    np.testing.assert_allclose(design.P, inverse_design(paper_system()).P, rtol=1e-4)
 
 
 def test_every_value_is_a_parameter_of_the_interface_within_its_rule(start_values):
@@ -35,16 +39,18 @@ def test_every_value_is_a_parameter_of_the_interface_within_its_rule(start_value
 
 def test_matrices_and_gains_arrive_entry_by_entry(design, start_values, controller):
     """Read back by name, and as the unit assembles them: in chain coordinates they are the design's."""
-    np.testing.assert_array_equal(np.reshape([start_values[n] for n in matrix("Phi")], (4, 4)), design.Phi)
+    np.testing.assert_array_equal(np.reshape([start_values[n] for n in matrix("Phi")], (4, 4)), chain_of(design).Phi)
     P = np.zeros((4, 4))
     P[np.triu_indices(4)] = [start_values[n] for n in upper_triangle("P")]
     np.testing.assert_array_equal(P + np.triu(P, 1).T, design.P)
-    for name, expected in (("k_lin", design.k_lin), ("row", design.row)):
+    for name, expected in (("k_lin", design.k_lin), ("row", chain_of(design).row)):
         assert [start_values[n] for n in vector(name)] == expected.tolist()
     unit = controller()
-    np.testing.assert_allclose(unit.design.Kz[0], design.kz, rtol=1e-10)
-    np.testing.assert_allclose(design.Phi.T @ unit.design.K_0z[0], -design.row, atol=1e-12)
-    np.testing.assert_allclose(design.Phi.T @ np.array(unit.design.Pz) @ design.Phi, design.P, rtol=1e-9)
+    np.testing.assert_allclose(unit.design.Kz[0], chain_gain(design), rtol=1e-10)
+    np.testing.assert_allclose(chain_of(design).Phi.T @ unit.design.K_0z[0], -chain_of(design).row, atol=1e-12)
+    np.testing.assert_allclose(
+        chain_of(design).Phi.T @ np.array(unit.design.Pz) @ chain_of(design).Phi, design.P, rtol=1e-9
+    )
     assert unit.mu == 1.0
 
 
@@ -90,9 +96,8 @@ def test_nominal_coefficients_follow_from_the_pendulums_constants(design, name):
 
 
 def test_design_of_another_order_is_refused():
-    double_integrator = Design(
-        np.eye(2, k=1), np.array([0.0, 1.0]), np.array([-2.0, -3.0]), np.array([[5.0, 1.0], [1.0, 1.0]]), 1.0, 1e-3
-    )
+    system = System(A=np.eye(2, k=1), B=np.array([0.0, 1.0]), K=np.array([-2.0, -3.0]))
+    double_integrator = Design(system, np.array([[5.0, 1.0], [1.0, 1.0]]), 1.0, 1e-3)
     with pytest.raises(ValueError, match="takes designs of order 4, found order 2"):
         design_values(double_integrator)
 

@@ -1,0 +1,116 @@
+"""What the command `design` does: a system, what is wished of its design, and the design, or why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from fmu_export.variables import did_you_mean
+from ihc_fmu.design import Design
+from ihc_fmu.lmi import InfeasibleError
+from ihc_fmu.pendulum.paper_system import paper_system
+from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha
+from ihc_fmu.system import System
+
+from .errors import UserError
+
+Say = Callable[[str], object]
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Options of the command, None for what is to be chosen; `state` names the state that `delta_max` bounds."""
+
+    direct: bool = False
+    mu: float | None = None
+    alpha: float | None = None
+    u_max: str | None = None
+    delta_max: float | None = None
+    state: str | None = None
+    beta: float = Options.beta
+    psi: float = 0.0
+    d_max: float = 0.0
+
+
+def system_and_wish(path: Path | None, wish: Wish) -> tuple[System, Wish]:
+    """Return the system of a file; for None the paper's, with the paper's options where none are given."""
+    if path is not None:
+        return System.load(path), wish
+    mu = Options.mu if wish.mu is None else wish.mu
+    alpha = Options.alpha if wish.alpha is None else wish.alpha
+    u_max = str(Options.u_max) if wish.u_max is None and wish.delta_max is None else wish.u_max
+    return paper_system(), replace(wish, mu=mu, alpha=alpha, u_max=u_max)
+
+
+def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]:
+    """Return the design and why its options are what they are; raise UserError that says what is possible."""
+    rest: dict[str, Any] = {"delta_max": wish.delta_max, "beta": wish.beta, "psi": wish.psi, "d_max": wish.d_max}
+    rest["index"] = _index(system, wish)
+    u_max = None if wish.u_max is None else _numbers(wish.u_max)
+    if wish.direct:
+        if wish.alpha is None:
+            raise UserError("a direct design needs --alpha, the decrease to prove [1/s]")
+        mu = 1.0 if wish.mu is None else wish.mu
+        choice = chosen_options(system, mu, wish.alpha, u_max, say, **rest)
+        return direct_design(system, choice.options), choice.reasons
+    if system.K is None:
+        raise UserError(
+            "an inverse design needs a linear controller: K, k_lin or lqr in the system; or --method direct"
+        )
+    try:
+        choice = chosen_options(system, wish.mu, wish.alpha, u_max, say, **rest)
+        return inverse_design(system, choice.options, say), choice.reasons
+    except InfeasibleError as error:
+        raise _explained(system, wish, error, say) from None
+
+
+def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> UserError:
+    """Return the error with what is possible instead."""
+    if wish.psi or wish.d_max or wish.alpha is None:
+        return UserError(f"{error}; a smaller --mu, or --method direct, may have a solution")
+    mu = 1.0 if wish.mu is None else wish.mu
+    try:
+        largest = largest_alpha(system, mu, say=say)
+    except InfeasibleError as none:
+        return UserError(
+            f"{error}; the largest feasible alpha was not found: {none}; a smaller --mu may have a solution"
+        )
+    if wish.alpha > largest:
+        return UserError(
+            f"alpha = {wish.alpha:g} 1/s is too large for this gain, the largest feasible one is {largest:.4g} 1/s"
+            + ("" if error.numerical else "; the dual proves that there is no solution")
+        )
+    return UserError(f"{error}, although a P exists up to alpha = {largest:.4g} 1/s")
+
+
+def largest(design: Design, say: Say) -> str:
+    """Return the largest alpha for the design's gain and mu as text."""
+    try:
+        return f"{largest_alpha(design.system, design.mu, say=say):.4g} 1/s"
+    except InfeasibleError as error:
+        return f"not found: {error}"
+
+
+def _index(system: System, wish: Wish) -> int:
+    """Return the index of the state that `delta_max` bounds, the second one by default."""
+    if wish.delta_max is None:
+        if wish.state is not None:
+            raise UserError("--state goes with --delta-max")
+        return 0
+    names = [q.name for q in system.states]
+    if wish.state is None:
+        return min(1, len(names) - 1)
+    if wish.state not in names:
+        raise UserError(
+            f"--state must be one of {', '.join(names)}, found {wish.state!r}{did_you_mean(wish.state, names)}"
+        )
+    return names.index(wish.state)
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise UserError(f"--u-max takes numbers separated by commas, found {text!r}") from None

@@ -1,0 +1,249 @@
+"""Matrix inequalities of a homogeneous controller, solved so that solutions that exist are found.
+
+Everything here is in scaled block coordinates: z = T x with time in 1/omega. The inequalities
+
+    M' P + P M < 0,  M = A_cl + a W,      W' P + P W > 2 beta P,      W = I + mu E,  E = T diag(k - i) T^-1
+
+ask for one quadratic Lyapunov function of A_cl + a W and of beta I - W. At mu = 0, where W = I, that of A_cl + a I
+serves. From there mu is raised in steps (a homotopy): while the last P passes by its eigenvalues nothing is solved; else
+one small program is, in the coordinates in which the last P is the unit matrix, so that the numbers that a solver sees
+stay near 1. It finds what a single program does not, whose numbers span many decades from five integrators on.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.linalg import LinAlgError, solve_continuous_lyapunov
+
+from fmu_export.errors import UserError
+
+Array = np.ndarray
+
+SOLVER_TIME = 120.0
+"""Longest time for one semidefinite program [s]."""
+RANGE = 1e3
+"""Eigenvalues of P in the coordinates of the last one lie within 1/RANGE and RANGE."""
+ATTEMPTS = 3
+"""Programs for one step of the homotopy, each in the coordinates of its predecessor."""
+FIRST_STEP, LEAST_STEP, GROWTH = 0.25, 0.01, 1.5
+"""Of the homotopy, as a share of the way."""
+NOTHING = 1e-8
+"""Margin, relative to the trace of P, that is none."""
+MARGIN = 1e-7
+"""By which an inequality must hold to count as held, relative to the size of its terms."""
+
+
+class InfeasibleError(UserError):
+    """The matrix inequalities have no solution for the given numbers, or none was found (`numerical`)."""
+
+    def __init__(self, message: str, *, numerical: bool = False) -> None:
+        super().__init__(message)
+        self.numerical = numerical
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """The inequalities in some coordinates y: A_cl (n, n) in scaled time, E (n, n), beta, and x = S y with S (n, n)."""
+
+    closed: Array
+    E: Array
+    S: Array
+    beta: float
+
+    def to(self, P: Array) -> Problem:
+        """Return the problem in coordinates in which y' P y is a sum of squares; LinAlgError unless P > 0."""
+        L_t = np.linalg.cholesky((P + P.T) / 2).T
+        inverse = np.linalg.inv(L_t)
+        return replace(self, closed=L_t @ self.closed @ inverse, E=L_t @ self.E @ inverse, S=self.S @ inverse)
+
+    def both(self, mu: float, a: float) -> tuple[Array, Array]:
+        """Return M and beta I - W, of which P is to be a common Lyapunov function."""
+        W = np.eye(len(self.E)) + mu * self.E
+        return self.closed + a * W, self.beta * np.eye(len(W)) - W
+
+    def margin(self, mu: float, a: float) -> float:
+        """Return by how much P = I satisfies both inequalities, relative to their matrices; negative where it does not."""
+        return min(-float(np.linalg.eigvalsh(F + F.T)[-1]) / float(np.linalg.norm(F, 2)) for F in self.both(mu, a))
+
+
+def solve(problem: Any, what: str) -> None:
+    """Solve with Clarabel, an interior-point method; raise InfeasibleError that says what has no solution."""
+    import cvxpy as cp  # noqa: PLC0415 - slow to import, needed only here
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate
+        try:
+            problem.solve(solver=cp.CLARABEL, time_limit=SOLVER_TIME)
+        except cp.SolverError:
+            message = f"{what}: the solver failed numerically on the matrix inequalities"
+            raise InfeasibleError(message, numerical=True) from None
+    if problem.status == cp.USER_LIMIT:
+        message = (
+            f"{what}: the solver reached its limit of iterations or of {SOLVER_TIME:g} s on the matrix inequalities"
+        )
+        raise InfeasibleError(message, numerical=True)
+    if problem.status not in {cp.OPTIMAL, cp.OPTIMAL_INACCURATE}:
+        raise InfeasibleError(f"{what}: the matrix inequalities have no solution (solver: {problem.status})")
+
+
+def lyapunov(problem: Problem, a: float) -> Problem | None:
+    """Return the problem in the coordinates of the Lyapunov function of A_cl + a I; None where there is none."""
+    n = len(problem.E)
+    F = problem.closed + a * np.eye(n)
+    if np.linalg.eigvals(F).real.max() >= 0.0:
+        return None
+    for _ in range(2):  # the second time in coordinates in which rounding has little to spoil
+        try:
+            problem = problem.to(solve_continuous_lyapunov(F.T, -np.eye(n) * np.linalg.norm(F, 2)))
+        except (LinAlgError, ValueError):
+            return None
+        F = problem.closed + a * np.eye(n)
+    return problem
+
+
+@lru_cache(maxsize=4)
+def _step_program(n: int) -> Any:
+    """Return (problem, P, F_1, F_2): maximize t with -(F_i' P + P F_i) >= t I, I/RANGE <= P <= RANGE I."""
+    import cvxpy as cp  # noqa: PLC0415
+
+    P, t = cp.Variable((n, n), symmetric=True), cp.Variable()
+    matrices = [cp.Parameter((n, n)) for _ in range(2)]
+    held = [-(P @ F + F.T @ P) >> t * np.eye(n) for F in matrices]
+    problem = cp.Problem(cp.Maximize(t), [*held, P >> np.eye(n) / RANGE, P << RANGE * np.eye(n), t <= 1.0])
+    return problem, P, matrices
+
+
+def improved(problem: Problem, mu: float, a: float) -> Problem | None:
+    """Return the problem in the coordinates of a P that satisfies both inequalities; None where none is found."""
+    program, P, matrices = _step_program(len(problem.E))
+    for _ in range(ATTEMPTS):
+        for parameter, F in zip(matrices, problem.both(mu, a), strict=True):
+            parameter.value = F / np.linalg.norm(F, 2)
+        try:
+            solve(program, "a step")
+            problem = problem.to(np.asarray(P.value))
+        except (InfeasibleError, LinAlgError):
+            return None
+        if problem.margin(mu, a) > MARGIN:
+            return problem
+    return None
+
+
+@dataclass
+class Limit:
+    """How long a search may take, and who wants to know of it: called with a sentence."""
+
+    seconds: float
+    say: Callable[[str], object] | None = None
+    end: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.end = time.monotonic() + self.seconds
+
+    def reached(self, sentence: str) -> bool:
+        """Tell `sentence` and return whether the time is over."""
+        if self.say is not None:
+            self.say(sentence)
+        return time.monotonic() > self.end
+
+
+def walk(
+    start: Problem, path: Callable[[float], tuple[float, float]], limit: Limit, least: float = LEAST_STEP
+) -> tuple[Problem, float]:
+    """Follow the path s -> (mu, a) from s = 0, where P = I serves, towards s = 1; return the last problem and its s."""
+    reached, step, problem = 0.0, FIRST_STEP, start
+    while reached < 1.0 and step >= least:
+        s = min(1.0, reached + step)
+        mu, a = path(s)
+        if limit.reached(f"at mu = {mu:.3g}, alpha = {a:.3g} in scaled time"):
+            break
+        found = problem if problem.margin(mu, a) > MARGIN else improved(problem, mu, a)
+        if found is None:
+            step /= 2.0
+        else:
+            problem, reached, step = found, s, step * GROWTH
+    return problem, reached
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What a search found: the problem in the coordinates of the last P, how far it got, and whether that is the goal."""
+
+    problem: Problem
+    mu: float
+    a: float
+    complete: bool
+
+
+def search(problem: Problem, mu: float, a: float, limit: Limit, least: float = LEAST_STEP) -> Search:
+    """Return a P for (mu, a), or how far one was found: mu is raised at some small a, then a.
+
+    For a = infinity that is the largest a, to the share `least` of its way on a logarithmic scale.
+    """
+    best: Search | None = None
+    rate = decay(problem)
+    for slow in (0.02 * rate, 1e-3 * rate, 1e-5 * rate, a):
+        if best is not None and (slow >= a or best.mu >= mu):
+            continue
+        first = min(slow, a)
+        start = lyapunov(problem, first)
+        if start is None:
+            continue
+        there, s = walk(start, lambda s, first=first: (s * mu, first), limit)
+        found = Search(there, s * mu, first, complete=s >= 1.0)
+        if found.complete and first < a:
+            ratio = min(a, rate) / first
+            there, s = walk(there, lambda s, first=first, ratio=ratio: (mu, first * ratio**s), limit, least)
+            found = Search(there, mu, first * ratio**s, complete=s >= 1.0 and a <= rate)
+        if found.complete:
+            return found
+        if best is None or (found.mu, found.a) > (best.mu, best.a):
+            best = found
+    assert best is not None
+    return best
+
+
+def decay(problem: Problem) -> float:
+    """Return the decay rate of the slowest pole in scaled time."""
+    return -float(np.linalg.eigvals(problem.closed).real.max())
+
+
+def is_refuted(problem: Problem, mu: float, a: float) -> bool:
+    """Return whether the dual shows that no P serves, in coordinates in which a P for less is the unit matrix.
+
+    For any Z_1, Z_2 >= 0 of traces that sum up to 1, the smallest eigenvalue -t of F_1 Z_1 + Z_1 F_1' + F_2 Z_2 + Z_2 F_2',
+    F_i relative to their norms, bounds what is to be found: a P of trace 1 satisfies both F_i' P + P F_i <= -s I for no s
+    beyond t. What would hold by less than NOTHING cannot be told from rounding, and counts as refuted.
+    """
+    import cvxpy as cp  # noqa: PLC0415
+
+    n = len(problem.E)
+    matrices = [F / np.linalg.norm(F, 2) for F in problem.both(mu, a)]
+    Z = [cp.Variable((n, n), PSD=True) for _ in matrices]
+    t = cp.Variable()
+    size: Any = cp.trace(Z[0]) + cp.trace(Z[1])
+    program = cp.Problem(cp.Maximize(t), [_dual_sum(matrices, Z) >> t * np.eye(n), size == 1])
+    try:
+        solve(program, "the dual")
+    except InfeasibleError:
+        return False
+    values = [_positive_part(np.asarray(Y.value)) for Y in Z]
+    total = _dual_sum(matrices, values) / sum(float(np.trace(Y)) for Y in values)
+    return float(np.linalg.eigvalsh((total + total.T) / 2)[0]) > -NOTHING
+
+
+def _dual_sum(matrices: Sequence[Array], Z: Sequence[Any]) -> Any:
+    first, second = (F @ Y + Y @ F.T for F, Y in zip(matrices, Z, strict=True))
+    return first + second
+
+
+def _positive_part(Y: Array) -> Array:
+    values, vectors = np.linalg.eigh((Y + Y.T) / 2)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T

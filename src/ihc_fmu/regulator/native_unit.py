@@ -1,0 +1,21 @@
+"""The controller of any linear model in C.
+
+Standard library only: this module also runs while the package is being built.
+"""
+
+from __future__ import annotations
+
+from fmu_export.native_unit import NativeUnit
+
+from ..native_core import FOLDER, HEADERS
+from .interface import INTERFACE
+from .unit import HomogeneousControllerUnit
+
+NATIVE = NativeUnit(
+    interface=INTERFACE,
+    twin=HomogeneousControllerUnit,
+    folder=FOLDER,
+    stem="homogeneous_controller",
+    prefix="regulator",
+    common=HEADERS,
+)

@@ -1,0 +1,142 @@
+"""What a design puts into the controller FMU of any linear model: start values, nothing else. Offline."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fmu_export.errors import UserError
+from fmu_export.variables import Interface, Value
+
+from .interface import ESTIMATORS, UNLIMITED, Shape, numbered, shown_interface
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class LinearFilter:
+    """A Kalman filter for one sample time: x+ = F x + G (u + d), d+ = d, b+ = decay b, y = C x + b.
+
+    F (n, n), G (n, m), C (p, n), M (n + m + p, p): corrections of x, d, b by the innovation y - (C x + b); rows of what is
+    not estimated are 0. decay in [0, 1].
+    """
+
+    F: Array
+    G: Array
+    C: Array
+    M: Array
+    decay: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Regulator:
+    """All that the controller FMU of a design needs, in plain arrays.
+
+    `shape`: names and units. Block coordinates z = T x, T (n, n), with `exponents` (n,); N (n, n) their superdiagonal
+    blocks; B (n, m) = T times the model's B; K_0 (m, n); K (m, n) the linear gain u = K x; P (n, n) of the unit ball
+    x' P x <= 1; mu in [0, 1]. `sample_time` [s]. `lower`, `upper` (m,): limits of the inputs, infinite for none. x_eq (n,),
+    u_eq (m,), y_eq (p,): equilibrium of the model, 0 by default. `filter` estimates the state, None: it is measured. N_x
+    (n, p), N_u (m, p): states and inputs at rest per set-point. K_i (m, n): integral action, v' = r^(1-2 mu) K_i d(-ln r) x.
+
+    Raises UserError for an array of another shape or with an entry that is not finite.
+    """
+
+    shape: Shape
+    exponents: Sequence[int]
+    T: Array
+    N: Array
+    B: Array
+    K_0: Array
+    K: Array
+    P: Array
+    mu: float
+    sample_time: float
+    lower: Array | None = None
+    upper: Array | None = None
+    x_eq: Array | None = None
+    u_eq: Array | None = None
+    y_eq: Array | None = None
+    filter: LinearFilter | None = None
+    N_x: Array | None = None
+    N_u: Array | None = None
+    K_i: Array | None = None
+
+    def __post_init__(self) -> None:
+        n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
+        if (self.filter is not None) != self.shape.estimated:
+            raise UserError("a controller has a filter where its states are estimated, and only there")
+        if self.filter is None and n != p:
+            raise UserError(f"states that are measured need as many outputs, found {n} states and {p} outputs")
+        shapes = dict.fromkeys(("T", "N", "P"), (n, n)) | dict.fromkeys(("K", "K_0", "K_i"), (m, n))
+        shapes |= {"B": (n, m), "N_x": (n, p), "N_u": (m, p), "x_eq": (n,), "y_eq": (p,), "exponents": (n,)}
+        shapes |= dict.fromkeys(("lower", "upper", "u_eq"), (m,))
+        defaults = {"lower": -np.inf, "upper": np.inf}
+        for name, shape in shapes.items():
+            given = getattr(self, name)
+            value = np.full(shape, defaults.get(name, 0.0)) if given is None else given
+            object.__setattr__(self, name, _checked(name, value, shape, finite=name not in defaults))
+        if self.filter is not None:
+            for name, shape in {"F": (n, n), "G": (n, m), "C": (p, n), "M": (n + m + p, p)}.items():
+                _checked(f"the filter's {name}", getattr(self.filter, name), shape)
+
+    def values(self) -> dict[str, Value]:
+        """Return the start values of the compiled table that the design decides."""
+        n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
+        values: dict[str, Value] = {"state_count": n, "input_count": m, "output_count": p}
+        values |= {"mu": self.mu, "sample_time": self.sample_time}
+        values |= {name: int(e) for name, e in zip(numbered("exponent", n), self.exponents, strict=True)}
+        arrays = {"T": self.T, "N": self.N, "B": self.B, "K": self.K, "K0": self.K_0, "Ki": self.K_i}
+        arrays |= {"Nx": self.N_x, "Nu": self.N_u, "P": self.P[np.triu_indices(n)]}
+        arrays |= {"lower": _bounded(self.lower), "upper": _bounded(self.upper)}
+        arrays |= {"output_equilibrium": self.y_eq, "input_equilibrium": self.u_eq, "state_equilibrium": self.x_eq}
+        arrays |= {"setpoint": self.y_eq}
+        if self.filter is not None:
+            f = self.filter
+            arrays |= {"F": f.F, "G": f.G, "C": f.C, "M": f.M, "first": np.linalg.pinv(f.C)}
+            values |= {"estimator": ESTIMATORS.index("kalman") + 1, "bias_decay": f.decay}
+            values |= {"filter_sample_time": self.sample_time}
+        for name, entries in arrays.items():
+            flat = np.asarray(entries, dtype=float).ravel()
+            values |= {entry: float(number) for entry, number in zip(numbered(name, flat.size), flat, strict=True)}
+        return values
+
+    def exported(self) -> tuple[Interface, dict[str, Value]]:
+        """Return what the FMU shows, with the design's start values, and the start values of the rest by compiled names."""
+        values = self.values()
+        interface = shown_interface(self.shape)
+        shown = [replace(v, start=values.pop(v.compiled, v.start)) for v in interface.variables]
+        return replace(interface, variables=tuple(shown)), values
+
+
+def _checked(name: str, value: object, shape: tuple[int, ...], *, finite: bool = True) -> Array:
+    found = np.asarray(value, dtype=float)
+    if found.shape != shape:
+        raise UserError(f"{name} must have the shape {shape}, found {found.shape}")
+    if not (np.isfinite(found).all() if finite else not np.isnan(found).any()):
+        raise UserError(f"{name} must be finite, found {found[~np.isfinite(found)].flat[0]}")
+    return found
+
+
+def _bounded(limits: Array | None) -> Array:
+    assert limits is not None
+    return np.clip(limits, -UNLIMITED, UNLIMITED)
+
+
+def set_point_matrices(A: Array, B: Array, C: Array, chosen: Collection[int]) -> tuple[Array, Array]:
+    """Return N_x (n, p), N_u (m, p): x = N_x r and u = N_u r are at rest and hold the outputs `chosen` at r.
+
+    A x + B u = 0, y_i = r_i for i in `chosen`; of several solutions the smallest. Columns of other outputs are 0. Raises
+    UserError where the chosen outputs cannot all be held at will.
+    """
+    (n, m), p = B.shape, len(C)
+    rows = sorted(chosen)
+    M = np.block([[A, B], [C[rows], np.zeros((len(rows), m))]])
+    wanted = np.vstack([np.zeros((n, len(rows))), np.eye(len(rows))])
+    found = np.linalg.lstsq(M, wanted, rcond=None)[0]
+    if np.abs(M @ found - wanted).max(initial=0.0) > 1e-6:
+        raise UserError("the outputs with set-points cannot be held at any values: there is no such equilibrium")
+    N = np.zeros((n + m, p))
+    N[:, rows] = found
+    return N[:n], N[n:]
