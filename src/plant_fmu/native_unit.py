@@ -62,10 +62,10 @@ NATIVE = NativeUnit(
     model_exchange=model_exchange,
     largest_model_exchange=_model_exchange(inductance=True),
     constants={
-        **CONSTANTS,
         "QUBE_MAX_DELAY": MAX_DELAY_STEPS,
         "QUBE_MAX_SUBSTEPS": MAX_SUBSTEPS,
         "QUBE_STEPS_PER_TIME_CONSTANT": STEPS_PER_TIME_CONSTANT,
+        **CONSTANTS,
         "QUBE_LEAST": LEAST,
     },
 )

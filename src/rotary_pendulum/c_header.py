@@ -1,4 +1,4 @@
-"""The equation of motion in C: a header that native units are made of, and what it has from Python.
+"""Where the equation of motion stands in C: a header that native units are made of.
 
 Standard library only: this module also runs while the package is being built.
 """
@@ -10,5 +10,6 @@ from pathlib import Path
 from .equation import FRICTION_SPEED
 
 HEADER = Path(__file__).parent / "native" / "rotary_pendulum.h"
+
 CONSTANTS = {"PENDULUM_FRICTION_SPEED": FRICTION_SPEED}
-"""Of the generated header that a unit includes before."""
+"""What a unit that includes it needs among its generated constants."""

@@ -6,7 +6,7 @@ Standard library only: this module also runs while the package is being built.
 from __future__ import annotations
 
 from fmu_export.native_unit import NativeUnit
-from rotary_pendulum.c_header import CONSTANTS as PENDULUM_CONSTANTS
+from rotary_pendulum.c_header import CONSTANTS as PENDULUM
 from rotary_pendulum.c_header import HEADER
 
 from ..native_core import CONSTANTS, FOLDER, HEADERS
@@ -20,5 +20,5 @@ NATIVE = NativeUnit(
     stem="ihc_controller",
     prefix="ihc",
     common=(*HEADERS, HEADER),
-    constants={**CONSTANTS, **PENDULUM_CONSTANTS, "IHC_ORDER": ORDER},
+    constants={**CONSTANTS, **PENDULUM, "IHC_ORDER": ORDER},
 )

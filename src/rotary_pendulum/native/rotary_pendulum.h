@@ -5,7 +5,7 @@
  *
  * zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r, and D_r + T_r/(|theta'| + v_s) in place of D_r. Pure functions of
  * their arguments in the order of operations of the Python twin; static, so that several units that are made of them can be
- * parts of one program. PENDULUM_FRICTION_SPEED, v_s [rad/s], is in the unit's generated constants, included before.
+ * parts of one program.
  */
 #ifndef ROTARY_PENDULUM_H
 #define ROTARY_PENDULUM_H
@@ -13,6 +13,9 @@
 #include <math.h>
 
 enum { PENDULUM_MOST_STATES = 5 }; /* the pendulum's four and one of a motor */
+
+/* PENDULUM_FRICTION_SPEED, v_s, is among the generated constants of the unit that includes this: at this speed dry
+ * friction is half of T_r [rad/s]. */
 
 /* The combinations of constants that eq. (5) consists of. */
 typedef struct {
