@@ -127,7 +127,7 @@ def test_bundle_holds_the_units_own_package_and_the_shared_ones_only(name, fmus)
     (bundle,) = {parts[0] for parts in modules}
     assert bundle.startswith(f"{name}_")
     packages = {parts[1] for parts in modules if len(parts) > 2}
-    assert packages == {UNIT_PACKAGES[name], "fmu_export", "pythonfmu"}
+    assert packages == {UNIT_PACKAGES[name], "fmu_export", "pythonfmu", "rotary_pendulum"}
     assert {parts[2] for parts in modules if parts[1] == "fmu_export"} == {
         "__init__",
         "errors",
