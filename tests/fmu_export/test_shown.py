@@ -470,6 +470,17 @@ def test_ssp_leaves_out_units_that_have_no_base_units(export, files, tmp_path):
     assert b"furlong" not in contents(path)["SystemStructure.ssd"]
 
 
+def test_components_have_plain_names_and_files_of_their_own(files, tmp_path):
+    other = tmp_path / files["ONE"].name
+    other.write_bytes(files["TWO"].read_bytes())
+    for components, message in (
+        ({"a.b": files["ONE"]}, "an instance's name must have no dot, found 'a.b'"),
+        ({"a": files["ONE"], "b": other}, "FMU files must have different names, found .* and .*north_tank"),
+    ):
+        with pytest.raises(UserError, match=message):
+            write_ssp(tmp_path / "bad.ssp", "Bad", components, [])
+
+
 def test_wires_go_by_any_name(files, tmp_path):
     path = tmp_path / "pair.ssp"
     wires = [(f"one.{LEVEL}", "two.pump")]
