@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from string import Template
 
-from fmu_export.ownership import WRITTEN
+from filing.ownership import WRITTEN
 
 from fmu_export.errors import shown
 from fmu_export.files import staging

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from fmu_export.ownership import check_replaceable
+from filing.ownership import check_replaceable
 
 from fmu_export.errors import shown
 
