@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from filing.ownership import check_replaceable
 
+from filing.ownership import check_replaceable
 from fmu_export.errors import shown
 
 from .display import console, escaped, problems, say_notes, show_table
