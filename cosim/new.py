@@ -9,7 +9,7 @@ from pathlib import Path
 from string import Template
 
 from filing.files import staging
-from filing.ownership import WRITTEN
+from filing.origin import WRITTEN
 from fmu_export.errors import shown
 
 from .errors import UserError

@@ -164,6 +164,7 @@ def new(
     commands = (
         f"pythonfmu build -f {name}.py -d {name}.fmu",
         f"qube-ihc linearize {name}.fmu --input torque",
+        f"qube-ihc design --system {name}.toml -o {name}.json",
     )
     console.print(f"in that folder, after every change of the class {class_name(name)}:")
     for command in commands:
