@@ -19,10 +19,11 @@ def build(platform: Platform | None = None) -> list[Path]:
     from fmu_export.native_unit import unit_files  # noqa: PLC0415 - a run needs the loop only
     from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER  # noqa: PLC0415
     from ihc_fmu.regulator.native_unit import NATIVE as REGULATOR  # noqa: PLC0415
+    from plant_fmu.linear.native_unit import NATIVE as LINEAR_PLANT  # noqa: PLC0415
     from plant_fmu.native_unit import NATIVE as PLANT  # noqa: PLC0415
 
     platform = platform or host_platform()
-    units = (PLANT, CONTROLLER, REGULATOR)
+    units = (PLANT, LINEAR_PLANT, CONTROLLER, REGULATOR)
     paths = [install_library(BINARIES, unit_files(unit), unit.interface.name, platform) for unit in units]
     return [*paths, install_library(LOOP_BINARIES, loop_files(), LOOP, platform)]
 

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from fmu_export.ownership import check_replaceable, is_ours
+from filing.ownership import check_replaceable, is_ours
 
-from . import signals
+from . import plant_commands, signals
 from .display import (
     console,
     degrade_output,
@@ -74,6 +74,7 @@ class Method(StrEnum):
 
 
 hil_commands.register(app)
+plant_commands.register(app)
 
 
 def _show_version(wanted: bool) -> None:
@@ -98,7 +99,7 @@ def main() -> None:
     0: well; 1: a run, a device or a compiler failed; 2: the user's mistake, in one sentence; 70: a fault of this program,
     with its traceback; 128 + n: signal n. The option --debug may stand anywhere and shows the traceback of every error.
     """
-    from fmu_export.native_build import BuildError
+    from fmu_export.native_build import BuildError, CompilerMissingError
 
     from .fmu import FmuError
     from .hil.device import DeviceError
@@ -119,6 +120,9 @@ def main() -> None:
     except UserError as error:
         say_error(error, traceback=debug)
         sys.exit(USAGE)
+    except CompilerMissingError as error:
+        say_error(error, f"{error}; pip install 'qube-ihc[cross]'", traceback=debug)
+        sys.exit(FAILED)
     except (SimulationError, FmuError, BuildError, DeviceError) as error:
         say_error(error, traceback=debug)
         sys.exit(FAILED)
@@ -421,7 +425,7 @@ def _check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
 
 
 def _compare_results(paths: list[Path], folder: Path) -> None:
-    from fmu_export.files import staging
+    from filing.files import staging
 
     from .hil.overlay import alike
     from .plots import save_comparison

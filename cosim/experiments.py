@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from filing.files import staging, write_file
 from fmu_export.errors import UserError
-from fmu_export.files import staging, write_file
 from fmu_export.reading import read_json
 
 from .campaign import Job, run_all

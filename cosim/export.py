@@ -58,7 +58,7 @@ def export_units(
     are. Raises UserError for what cannot be exported, also a design for another model than the plant's, unless
     `other_model`, and BuildError for a missing binary or compiler.
     """
-    from fmu_export.files import staging
+    from filing.files import staging
     from ihc_fmu.pendulum.documentation import notes as controller_notes
     from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.pendulum.slave import IhcController
@@ -109,6 +109,7 @@ def _export(
     building: Callable[[str], object] | None,
 ) -> list[Path]:
     """Write the FMUs of plant and controller and the SSP that holds both."""
+    from filing.origin import origin
     from fmu_export.native_fmu import export_native_fmu
     from fmu_export.python_fmu import export_python_fmu
     from fmu_export.ssp import write_ssp
@@ -117,11 +118,13 @@ def _export(
     for (native, slave, start, notes), shown in zip(plans, kept, strict=True):
         path = output / f"{native.interface.name}.fmu"
         if kind is Kind.native:
-            paths.append(export_native_fmu(native, path, start, notes, platforms, building, shown))
+            paths.append(export_native_fmu(native, path, start, notes, platforms, building, shown, origin=origin()))
         else:
-            paths.append(export_python_fmu(slave, path, start, notes, shown))
+            paths.append(export_python_fmu(slave, path, start, notes, shown, origin=origin()))
     plant, controller = paths
-    system = write_ssp(output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires)
+    system = write_ssp(
+        output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires, origin()
+    )
     return [plant, controller, system]
 
 

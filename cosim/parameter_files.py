@@ -13,9 +13,10 @@ import sys
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
 
+from filing.files import write_file
+from filing.origin import WRITTEN
 from fmu_export.errors import shown
-from fmu_export.files import is_file, write_file
-from fmu_export.ownership import WRITTEN
+from fmu_export.files import is_file
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set

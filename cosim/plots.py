@@ -13,8 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from fmu_export.files import write_file
-from fmu_export.ownership import SOFTWARE
+from filing.files import write_file
+from filing.origin import SOFTWARE
 from ihc_fmu.pendulum.interface import LAWS
 
 from .metrics import angle_norm, wrapped

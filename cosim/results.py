@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from pydantic_core import to_json
 
-from fmu_export.files import uninterrupted, write_files
+from filing.files import write_files
+from fmu_export.files import uninterrupted
 from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError

@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from filing.origin import WRITTEN
 from fmu_export.files import is_file, is_folder
-from fmu_export.ownership import WRITTEN
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER

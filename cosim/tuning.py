@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from fmu_export.files import staging, write_file
+from filing.files import staging, write_file
 from fmu_export.variables import Value
 from ihc_fmu.design import Design
 from ihc_fmu.pendulum.start_values import design_values

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fmu_export.files import staging, uninterrupted
-from fmu_export.ownership import check_replaceable
+from filing.files import staging
+from filing.ownership import check_replaceable
+from fmu_export.files import uninterrupted
 from fmu_export.variables import did_you_mean
 
 from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes, show_table

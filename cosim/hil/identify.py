@@ -17,14 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmu_export.variables import did_you_mean
-from plant_fmu import dynamics
+from plant_fmu.dynamics import Motor, motor
 from plant_fmu.integrator import substeps
 from plant_fmu.parameters import ParameterSet, QubeParameters
+from rotary_pendulum.equation import Coefficients, solve
+from rotary_pendulum.runge_kutta import rk4_step
 
 from ..errors import UserError
 from ..provenance import provenance
@@ -343,39 +345,44 @@ def _grid(time: Array) -> tuple[float, Array]:
 # The simulation
 
 
-def _coefficients(sets: Sequence[QubeParameters], back_emf: bool) -> dynamics.Coefficients:
-    """Return the coefficients of P pendulums as arrays of shape (P, 1)."""
-    rows = [dynamics.coefficients(p, back_emf=back_emf) for p in sets]
-    return dynamics.Coefficients(*np.array(rows).T[..., None])  # type: ignore[arg-type] # see dynamics.solve
+class _Models(NamedTuple):
+    """P pendulums and their motors; each number is an array of shape (P, 1)."""
+
+    pendulums: Coefficients
+    motors: Motor
 
 
-def _simulate(c: dynamics.Coefficients, x: Array, log: _Log) -> Array:
+def _models(sets: Sequence[QubeParameters], back_emf: bool) -> _Models:
+    def stacked(rows: Sequence[Sequence[float]]) -> Any:
+        return np.array(rows).T[..., None]
+
+    motors = [motor(p, back_emf=back_emf) for p in sets]
+    return _Models(Coefficients(*stacked([p.coefficients for p in sets])), Motor(*stacked(motors)))
+
+
+def _simulate(models: _Models, x: Array, log: _Log) -> Array:
     """Return the angles [rad] at the grid's points, of shape (n, 2, P, S), from initial states x of shape (4, P, S).
 
-    P pendulums with the coefficients `c` by the classical Runge-Kutta method, the motor static, the voltage held.
+    P pendulums by the classical Runge-Kutta method, the motor static, the voltage held.
     """
-    per_volt: Any = c.k_m / c.R_m
-    braking: Any = c.k_m * c.k_e / c.R_m
+    c, m = models
+    per_volt: Any = m.k_m / m.R_m
+    braking: Any = m.k_m * m.k_e / m.R_m
 
-    def rate(x: Any, drive: Array) -> Array:
-        dx = np.empty_like(x)
-        dx[:2] = x[2:]
-        dx[2], dx[3] = dynamics.solve(c, np.sin(x[1]), np.cos(x[1]), x[2], x[3], drive - braking * x[2], 0.0)
-        return dx
+    def rate(x: Any) -> Any:
+        _, delta, v, w = x
+        return v, w, *solve(c, np.sin(delta), np.cos(delta), v, w, drive - braking * v, 0.0)
 
     count = substeps(log.period, SOLVER_STEP)
     h = log.period / count
     angles = np.empty((len(log.angles), *x[:2].shape))
     angles[0] = x[:2]
+    state: Any = tuple(x)
     for k, voltage in enumerate(log.voltage, start=1):
         drive = per_volt * voltage
         for _ in range(count):
-            k1 = rate(x, drive)
-            k2 = rate(x + 0.5 * h * k1, drive)
-            k3 = rate(x + 0.5 * h * k2, drive)
-            k4 = rate(x + h * k3, drive)
-            x = x + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
-        angles[k] = x[:2]
+            state = rk4_step(rate, state, h)
+        angles[k] = state[:2]
     return angles
 
 
@@ -460,9 +467,9 @@ class _Problem:
         d_s = D_s' r_s / |D_s|^2; white residuals of variance v give E d_s^2 |D_s|^2 / v = 1, whose mean is the score.
         """
         self._solve(z)
-        coefficients = _coefficients([self.parameters(z)], self.start.back_emf)
+        models = _models([self.parameters(z)], self.start.back_emf)
         q = [
-            _simulate(coefficients, self.states[:, None], replace(self.log, voltage=self.log.voltage + shift))
+            _simulate(models, self.states[:, None], replace(self.log, voltage=self.log.voltage + shift))
             for shift in (0.0, VOLTAGE_STEP)
         ]
         D = ((q[1] - q[0])[:, :, 0].transpose(2, 0, 1).reshape(self.seen.shape) / VOLTAGE_STEP) * self.seen
@@ -480,7 +487,7 @@ class _Problem:
         shifted = [z + PARAMETER_STEP * row for row in np.eye(count, len(z))]
         sets = [self.parameters(row) for row in [z] * 5 + shifted]
         with np.errstate(all="ignore"):  # what is not finite is seen where the residuals are compared
-            q = _simulate(_coefficients(sets, self.start.back_emf), states[:, None] + shifts[..., None], self.log)
+            q = _simulate(_models(sets, self.start.back_emf), states[:, None] + shifts[..., None], self.log)
             q = np.ascontiguousarray(q.transpose(3, 0, 1, 2)).reshape(*self.seen.shape, -1)
             y = self.log.angles - np.array([0.0, z[-1] * self.scales[-1]])[:, None]
             r = (y.transpose(2, 0, 1).reshape(self.seen.shape) - q[..., 0]) * self.seen

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from fmu_export.files import write_file
+from filing.files import write_file
 
 from ..errors import UserError
 from ..fmu import FmuError, Instance

@@ -16,7 +16,7 @@ import numpy as np
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from fmu_export.files import staging, write_file
+from filing.files import staging, write_file
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.synthesis import largest_alpha
 from plant_fmu.linearization import linearize

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fmu_export.files import write_file
+from filing.files import write_file
 from ihc_fmu.design import Design
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.paper_system import paper_system

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fmu_export.files import write_file
-from fmu_export.ownership import WRITTEN
+from filing.files import write_file
+from filing.origin import WRITTEN
 
 from ..metrics import QUANTITIES
 from . import printed

@@ -8,9 +8,11 @@ import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from .errors import UserError
 from .files import replacing
 
 ZIP_TIME = (1980, 1, 1, 0, 0, 0)
+_HEAD = 4096
 
 
 def content_guid(files: Mapping[str, bytes], description: bytes) -> str:
@@ -22,14 +24,32 @@ def content_guid(files: Mapping[str, bytes], description: bytes) -> str:
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
 
 
-def write_zip(path: Path, files: Mapping[str, bytes]) -> None:
-    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first, whole or not at all."""
-    with replacing(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+def write_zip(path: Path, files: Mapping[str, bytes], software: str) -> None:
+    """Write a zip file with sorted entries and a fixed time, modelDescription.xml first, whole or not at all.
+
+    Raises UserError where it cannot be written, or would replace a file that `software` did not make.
+    """
+
+    def check(path: Path, _: object) -> None:
+        if path.is_file() and path.stat().st_size > 0 and not made_by(path, software):
+            raise UserError(f"{path} was not written by {software} and stays; choose another name or move that file")
+
+    with replacing(path, check) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(files, key=lambda n: (n != "modelDescription.xml", n)):
             entry = zipfile.ZipInfo(name, ZIP_TIME)
             entry.external_attr = 0o644 << 16
             entry.compress_type = zipfile.ZIP_DEFLATED
             archive.writestr(entry, files[name])
+
+
+def made_by(path: Path, software: str) -> bool:
+    """Return whether the file `path` is an FMU or an SSP that names `software` near its description's beginning."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            inside = [name for name in ("modelDescription.xml", "SystemStructure.ssd") if name in archive.namelist()]
+            return any(software.encode() in archive.open(name).read(_HEAD) for name in inside)
+    except (zipfile.BadZipFile, NotImplementedError, EOFError):
+        return False
 
 
 def license_of(distribution: str) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from .archive import license_of
+from .origin import Origin
 from .variables import Interface, Value, Variable
 
 _STYLE = (
@@ -19,16 +19,21 @@ LICENSES = "documentation/licenses"
 
 
 def documents(
-    interface: Interface, start: Mapping[str, Value], notes: str, licenses: Mapping[str, tuple[str, bytes]]
+    interface: Interface,
+    start: Mapping[str, Value],
+    notes: str,
+    origin: Origin,
+    licenses: Mapping[str, tuple[str, bytes]],
 ) -> dict[str, bytes]:
-    """Return the files of the FMU's documentation by name: the page, this project's licence, and the `licenses` of others.
+    """Return the files of the FMU's documentation by name: the page, the licence of its origin, and `licenses` of others.
 
     The latter map a file name to what it is for and its text.
     """
     others = "".join(f"{name}: the licence of {what}\n" for name, (what, _) in licenses.items())
-    head = f"{interface.name} is under the licence below; it holds parts of others.\n{others}\n"
     files = {f"{LICENSES}/{name}": text for name, (_, text) in licenses.items()}
-    files[f"{LICENSES}/license.txt"] = head.encode() + license_of("qube-ihc")
+    if origin.license_text:
+        head = f"{interface.name} is under the licence below; it holds parts of others.\n{others}\n"
+        files[f"{LICENSES}/license.txt"] = head.encode() + origin.license_text
     files["documentation/index.html"] = documentation(interface, start, notes).encode()
     return files
 
@@ -44,8 +49,8 @@ def documentation(interface: Interface, start: Mapping[str, Value], notes: str) 
     return (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(interface.name)}</title>'
         f"<style>{_STYLE}</style></head>\n<body><h1>{escape(interface.name)}</h1>\n"
-        f"<p>{escape(interface.description)}. FMI 2.0 for co-simulation, SI units; the default communication step is "
-        f"{interface.step_size:g} s.</p>\n{notes}\n{sections}</body></html>\n"
+        f"<p>{escape(interface.description)}. FMI 2.0 for co-simulation; the default communication step is "
+        f"{interface.default_step(start):g} s.</p>\n{notes}\n{sections}</body></html>\n"
     )
 
 

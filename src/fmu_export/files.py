@@ -1,4 +1,8 @@
-"""The one way in which files are written: whole or not at all."""
+"""The one way in which files are written: whole or not at all, and only over files that a check lets go.
+
+The check is told the path and, where it is text or bytes at hand, the new content; it raises UserError where a file that
+is there must stay.
+"""
 
 from __future__ import annotations
 
@@ -7,38 +11,43 @@ import secrets
 import shutil
 import signal
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
 from .errors import UserError
-from .ownership import check_replaceable, kind_of
 
 Content = str | bytes | Iterable[bytes]
 """Text (UTF-8), bytes, or pieces of bytes."""
 
+Check = Callable[[Path, str | bytes | None], None]
+
+
+def any_file(_path: Path, _content: str | bytes | None) -> None:
+    """Let every file be replaced."""
+
 
 @contextmanager
-def replacing(path: Path) -> Iterator[IO[bytes]]:
+def replacing(path: Path, check: Check) -> Iterator[IO[bytes]]:
     """Give a temporary file beside `path` that becomes `path` where the block ends well, and vanishes where it does not.
 
     It is on the disk before it gets its name, so that neither a crash nor a full disk leaves half a file, and an earlier
     file of that name stays until then. Folders on the way are made. Raises UserError that names `path` where it cannot be
-    written, or is a file that this project did not write.
+    written, and what `check` raises.
     """
-    with _beside(path) as (file, beside), _named(path):
+    with _beside(path, None, check) as (file, beside), _named(path):
         yield file
         _finish(file)
         beside.replace(path)
 
 
-def write_file(path: Path, content: Content) -> None:
+def write_file(path: Path, content: Content, check: Check) -> None:
     """Write `content` to `path`, whole or not at all; raises as `replacing` does."""
-    write_files({path: content})
+    write_files({path: content}, check)
 
 
-def write_files(contents: Mapping[Path, Content]) -> None:
+def write_files(contents: Mapping[Path, Content], check: Check) -> None:
     """Write files of one folder that belong together: all are on the disk before the first gets its name.
 
     They get their names in the order given, undisturbed by Ctrl-C and by another process that writes there in the same
@@ -46,8 +55,7 @@ def write_files(contents: Mapping[Path, Content]) -> None:
     as they were.
     """
     with uninterrupted(), ExitStack() as stack:
-        kinds = {path: kind_of(c) if isinstance(c, str | bytes) else "" for path, c in contents.items()}
-        staged = {path: stack.enter_context(_beside(path, kinds[path])) for path in contents}
+        staged = {path: stack.enter_context(_beside(path, content, check)) for path, content in contents.items()}
         for path, content in contents.items():
             with _named(path):
                 file = staged[path][0]
@@ -61,7 +69,7 @@ def write_files(contents: Mapping[Path, Content]) -> None:
 
 
 @contextmanager
-def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
+def staging(folder: Path, check: Check, last: str | None = None) -> Iterator[Path]:
     """Give a hidden folder for files that belong together; where the block ends well they all go to `folder`.
 
     Files of the same names are replaced, others stay. The file `last`, which describes the others, comes last; otherwise
@@ -82,8 +90,7 @@ def staging(folder: Path, last: str | None = None) -> Iterator[Path]:
             for name in names:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
         for name in names:
-            kind = kind_of((place / name).read_bytes()) if name.suffix == ".json" else ""
-            check_replaceable(folder / name, kind=kind)
+            check(folder / name, (place / name).read_bytes() if name.suffix == ".json" else None)
         with uninterrupted(), _alone_in(folder):
             for name in sorted(names, key=lambda name: str(name) == last):
                 with _named(folder / name):
@@ -128,13 +135,13 @@ def uninterrupted() -> Iterator[None]:
 
 
 @contextmanager
-def _beside(path: Path, kind: str = "") -> Iterator[tuple[IO[bytes], Path]]:
+def _beside(path: Path, content: Content | None, check: Check) -> Iterator[tuple[IO[bytes], Path]]:
     """Give a new file beside `path` and its path; it is closed and, where it still has that name, removed at the end."""
     with _named(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_dir():
             raise UserError(f"{path} cannot be written: it is a folder")
-        check_replaceable(path, kind=kind)
+        check(path, content if isinstance(content, str | bytes) else None)
         beside = path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}.tmp")
         file = beside.open("xb")
     try:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
+from .origin import ANONYMOUS, Origin
 from .units import DISPLAY, base_unit
 from .variables import Interface, Value, Variable
 
@@ -35,7 +36,7 @@ class Capabilities:
     identifier: str
     needs_execution_tool: bool
     generation_tool: str
-    version: str
+    origin: Origin = ANONYMOUS
     sources: tuple[str, ...] = ()
     model_exchange: ModelExchange | None = None
 
@@ -52,19 +53,25 @@ def model_description(
     `start` maps parameters and inputs to their start values. `references` are the value references of the variables; None:
     their positions.
     """
+    origin = capabilities.origin
+    said = {
+        "author": origin.author,
+        "version": origin.version,
+        "license": origin.license,
+        "generationTool": capabilities.generation_tool,
+    }
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
         modelName=interface.name,
         guid=guid,
         description=interface.description,
-        author="The qube-ihc developers",
-        version=capabilities.version,
-        license="MIT",
-        generationTool=capabilities.generation_tool,
-        variableNamingConvention="flat",
-        numberOfEventIndicators="0",
     )
+    for name, text in said.items():
+        if text:
+            root.set(name, text)
+    root.set("variableNamingConvention", "flat")
+    root.set("numberOfEventIndicators", "0")
     _add_kinds(root, interface, capabilities)
     _add_units(root, interface)
     types = _add_types(root, interface)
@@ -74,7 +81,7 @@ def model_description(
         "DefaultExperiment",
         startTime="0",
         stopTime=repr(interface.stop_time),
-        stepSize=repr(start[interface.step_parameter] if interface.step_parameter else interface.step_size),
+        stepSize=repr(interface.default_step(start)),
     )
     variables = ET.SubElement(root, "ModelVariables")
     exchange = capabilities.model_exchange

@@ -1,7 +1,7 @@
 """Shared libraries of C sources by Zig's C compiler, for this machine or, on any machine, for others.
 
-Installing the package builds those of the host (see `hatch_build.py`); `qube-ihc export --platforms` builds others on
-demand. The same sources give the same bytes on every machine.
+Those of the host are built once, when the package is installed, those of others on demand. The same sources give the same
+bytes on every machine.
 
 Standard library only: this module also runs while the package is being built.
 """
@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from .files import write_file
+from .files import any_file, write_file
 
 FLAGS = (
     "-std=c99",
@@ -70,6 +70,10 @@ class BuildError(RuntimeError):
     """The compiler is missing or refused; the message holds what it said."""
 
 
+class CompilerMissingError(BuildError):
+    """The package ziglang is not installed."""
+
+
 def host_platform() -> Platform:
     """Return the platform of this machine; raise BuildError for one that is not among PLATFORMS."""
     systems = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}
@@ -83,15 +87,15 @@ def host_platform() -> Platform:
 
 
 def zig_command() -> list[str]:
-    """Return the command that runs Zig's C compiler; raise BuildError where the package ziglang is missing."""
+    """Return the command that runs Zig's C compiler; raise CompilerMissingError where there is none."""
     if find_spec("ziglang") is None:
-        raise BuildError("building binaries needs the package ziglang, from the extra qube-ihc[cross]")
+        raise CompilerMissingError("building binaries needs the package ziglang")
     return [sys.executable, "-m", "ziglang", "cc"]
 
 
 def build_library(files: Mapping[str, bytes], name: str, platform: Platform) -> bytes:
     """Return the shared library `name` of the C sources among `files`, for all targets of `platform`."""
-    with tempfile.TemporaryDirectory(prefix="qube-ihc-build-") as folder:
+    with tempfile.TemporaryDirectory(prefix="native-build-") as folder:
         for file, text in files.items():
             (Path(folder) / file).write_bytes(text)
         sources = sorted(file for file in files if file.endswith(".c"))
@@ -103,8 +107,8 @@ def install_library(folder: Path, files: Mapping[str, bytes], name: str, platfor
     """Build the library `name` into `folder`/<platform> unless it is there, made of the same files; return its path."""
     path = folder / platform.name / (name + platform.suffix)
     if not _is_current(path, files):
-        write_file(path, build_library(files, name, platform))
-        write_file(_digest_path(path), _digest(files) + "\n")
+        write_file(path, build_library(files, name, platform), any_file)
+        write_file(_digest_path(path), _digest(files) + "\n", any_file)
     return path
 
 

@@ -6,7 +6,6 @@ start values are compiled in, so that an importer that rebuilds them needs no fi
 
 from __future__ import annotations
 
-import importlib.metadata
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from .native_build import (
     installed_library,
 )
 from .native_unit import ADAPTER, NativeUnit, is_c_identifier, start_value_file, start_value_source, unit_files
+from .origin import ANONYMOUS, Origin
 from .shown import Showing
 from .variables import LONGEST_NAME, Interface, Value
 
@@ -46,12 +46,13 @@ def export_native_fmu(
     interface: Interface | None = None,
     hidden: Mapping[str, Value | str] | None = None,
     identifier: str | None = None,
+    origin: Origin = ANONYMOUS,
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `interface` is what the FMU shows of the unit's compiled variables (`Variable.slot`), None: all of them as they are;
     `hidden` are start values of others, by compiled names. `identifier` is the modelIdentifier, also the name of the binary
-    inside and of the functions of the sources, None: the unit's name.
+    inside and of the functions of the sources, None: the unit's name. `origin` is who makes the FMU.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
     has built; others are compiled now, by the package ziglang; `building` is told which, before each. `outputs` names
@@ -65,14 +66,13 @@ def export_native_fmu(
     start = showing.interface.start_values(changes)
     values = _values(unit, showing, start, hidden or {})
     shown = showing.interface if outputs is None else showing.interface.exposing(outputs)
-    version = importlib.metadata.version("qube-ihc")
     sources = {name: file.read_bytes() for name, file in unit.sources.items()}
     sources |= {name: text.encode() for name, text in unit.headers(identifier).items()}
     capabilities = Capabilities(
         identifier=identifier,
         needs_execution_tool=False,
-        generation_tool=f"qube-ihc {version}",
-        version=version,
+        generation_tool=origin.tool,
+        origin=origin,
         sources=tuple(sorted([name for name in sources if name.endswith(".c")] + [START_VALUES_SOURCE])),
         model_exchange=None if unit.model_exchange is None else showing.exchange(unit.model_exchange(values)),
     )
@@ -84,14 +84,14 @@ def export_native_fmu(
         files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
         if platforms is None and platform.name == "aarch64-linux":
             files[f"binaries/linux64/{name}"] = files[f"binaries/{platform.name}/{name}"]  # where FMPy looks on ARM
-    files |= documents(shown, start, notes, {"FMI.txt": ("the header files of FMI", FMI_LICENSE.read_bytes())})
+    files |= documents(shown, start, notes, origin, {"FMI.txt": ("the header files of FMI", FMI_LICENSE.read_bytes())})
     references = showing.references
     digested = {**files, "values": start_value_file(unit.interface, "", values, showing.names)}
     guid = content_guid(digested, model_description(shown, start, "", capabilities, references))
     files["resources/start_values.bin"] = start_value_file(unit.interface, guid, values, showing.names)
     files[f"sources/{START_VALUES_SOURCE}"] = start_value_source(unit.interface, guid, values, showing.names).encode()
     files["modelDescription.xml"] = model_description(shown, start, guid, capabilities, references)
-    write_zip(path, files)
+    write_zip(path, files, origin.software)
     return path
 
 

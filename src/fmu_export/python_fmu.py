@@ -20,9 +20,10 @@ from .archive import content_guid, license_of, write_zip
 from .documentation import documents
 from .guarded_slave import MANIFEST, GuardedSlave, code_digest
 from .model_description import Capabilities, model_description
+from .origin import ANONYMOUS, Origin
 from .variables import Value
 
-SHARED = ("fmu_export", "pythonfmu")
+SHARED = ("fmu_export", "pythonfmu", "rotary_pendulum")
 """Packages that a unit's code may import besides its own."""
 
 SCRIPT = """import ctypes
@@ -41,13 +42,15 @@ def export_python_fmu(
     changes: Mapping[str, Value | str] | None = None,
     notes: str = "",
     outputs: Collection[str] | None = None,
+    *,
+    origin: Origin = ANONYMOUS,
 ) -> Path:
     """Write the FMU of `slave` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `notes` is HTML for the FMU's documentation. `outputs` names those that are outputs, None: all; the others become local
-    variables. The same arguments give the same bytes. The file is written beside and renamed, so an interrupted export
-    leaves an earlier file as it was. Raises UserError for start values that the
-    interface does not admit or that contradict each other.
+    variables. `origin` is who makes the FMU. The same arguments give the same bytes. The file is written beside and renamed,
+    so an interrupted export leaves an earlier file as it was. Raises UserError for start values that the interface does not
+    admit or that contradict each other.
     """
     interface = slave.interface
     start = interface.start_values(changes)
@@ -58,14 +61,14 @@ def export_python_fmu(
     capabilities = Capabilities(
         identifier=interface.name,
         needs_execution_tool=True,
-        generation_tool=f"qube-ihc {importlib.metadata.version('qube-ihc')} with PythonFMU {version}",
-        version=importlib.metadata.version("qube-ihc"),
+        generation_tool=f"{origin.tool} with PythonFMU {version}",
+        origin=origin,
     )
     files |= _binaries(interface.name)
-    files |= documents(shown, start, notes, {"PythonFMU.txt": ("PythonFMU", license_of("pythonfmu"))})
+    files |= documents(shown, start, notes, origin, {"PythonFMU.txt": ("PythonFMU", license_of("pythonfmu"))})
     guid = content_guid(files, model_description(shown, start, "", capabilities))
     files["modelDescription.xml"] = model_description(shown, start, guid, capabilities)
-    write_zip(path, files)
+    write_zip(path, files, origin.software)
     return path
 
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 
 from .archive import write_zip
 from .errors import UserError
-from .ownership import SOFTWARE
+from .origin import ANONYMOUS, Origin
 from .units import base_unit
 
 SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
@@ -17,19 +17,25 @@ SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd"
 
 
-def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iterable[tuple[str, str]]) -> Path:
+def write_ssp(
+    path: Path,
+    name: str,
+    components: Mapping[str, Path],
+    wires: Iterable[tuple[str, str]],
+    origin: Origin = ANONYMOUS,
+) -> Path:
     """Write the SSP `path` of the FMU files `components` by instance name and the `wires`; return `path`.
 
     A wire is (output, input), each as `instance.variable`; a variable's name may have dots, an instance's not. All outputs
     become connectors, and those inputs that a wire ends at; other inputs keep their start values. An annotation gives
     OMSimulator its master: fixed steps, as long as the FMUs that cannot vary theirs want. The same files give the same
-    bytes. Raises UserError for a wire from what is no output or to what is no input.
+    bytes. `origin` is who makes the file. Raises UserError for a wire from what is no output or to what is no input.
     """
     ends = [(*_parts(a), *_parts(b)) for a, b in wires]
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
     ET.register_namespace("oms", OMS)
-    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0", generationTool=SOFTWARE)
+    root = ET.Element(f"{{{SSD}}}SystemStructureDescription", name=name, version="1.0", generationTool=origin.software)
     system = ET.SubElement(root, f"{{{SSD}}}System", name=name)
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}
@@ -61,7 +67,7 @@ def write_ssp(path: Path, name: str, components: Mapping[str, Path], wires: Iter
     _add_units(root, units)
     ET.indent(root)
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
-    write_zip(path, files)
+    write_zip(path, files, origin.software)
     return path
 
 

@@ -102,6 +102,7 @@ _OFFSETS = {
 _SYMBOL = r"(?:[A-Za-z]+|%)"
 _FACTOR = rf"(?:{_SYMBOL}(?:[+-]?[0-9]{{1,2}})?|1)"
 _PRODUCT = rf"{_FACTOR}(?:\.{_FACTOR})*"
+_UNIT = re.compile(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?")
 
 DISPLAY = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 / 3.141592653589793)}
 """Units for people: name and factor."""
@@ -115,7 +116,7 @@ def base_unit(unit: str) -> BaseUnit | None:
     """
     if unit in _OFFSETS:
         return _OFFSETS[unit]
-    match = re.fullmatch(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?", unit)
+    match = _UNIT.fullmatch(unit)
     if match is None:
         return None
     total = _si()
@@ -141,3 +142,20 @@ def _symbol(symbol: str) -> _Quantity | None:
         if power is not None and rest is not None:
             return _si(Fraction(10) ** power).times(rest, 1)
     return None
+
+
+def per_second(unit: str) -> str:
+    """Return the unit of a quantity's derivative with respect to time: m/s2 of m/s, rad/(m.s) of rad/m.
+
+    A unit in another notation is put in parentheses: (deg C)/s.
+    """
+    match = _UNIT.fullmatch(unit)
+    if match is None:
+        return f"({unit})/s"
+    below = [factor for factor in (match[2] or match[3] or "").split(".") if factor not in ("", "1")]
+    seconds = next((i for i, factor in enumerate(below) if re.fullmatch("s[1-9]?", factor)), None)
+    if seconds is None:
+        below.append("s")
+    else:
+        below[seconds] = f"s{int(below[seconds][1:] or 1) + 1}"
+    return f"{match[1]}/{below[0]}" if len(below) == 1 else f"{match[1]}/({'.'.join(below)})"

@@ -157,6 +157,10 @@ class Interface:
         """The outputs and local variables, in interface order: what a unit's `outputs()` returns."""
         return tuple(v for v in self.variables if v.calculated)
 
+    def default_step(self, start: Mapping[str, Value]) -> float:
+        """Return the step [s] that suits the unit with these start values."""
+        return self.step_size if self.step_parameter is None else float(start[self.step_parameter])
+
     def exposing(self, names: Collection[str]) -> Interface:
         """Return the interface with the outputs `names` only; the others become local variables, which tools leave alone.
 

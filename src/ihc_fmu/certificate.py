@@ -15,7 +15,7 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
-from .homogeneity import NormPolynomial, homogeneous_norm
+from .homogeneity import homogeneous_norm, norm_polynomial
 
 if TYPE_CHECKING:
     from .design import Design
@@ -240,10 +240,10 @@ def _identity_residual(design: Design) -> float:
 
 def norm_of(design: Design, x: Array) -> float:
     """Return ||x||_d for the design's P and dilation."""
-    form, z = design.form, design.form.T @ np.asarray(x, float)
-    terms = z[:, None] * (form.T_inverse.T @ design.P @ form.T_inverse) * z
-    e = np.array(form.exponents)
-    return homogeneous_norm(NormPolynomial(np.bincount((e[:, None] + e).ravel(), terms.ravel()).tolist()), design.mu)
+    form = design.form
+    Pz = (form.T_inverse.T @ design.P @ form.T_inverse).tolist()
+    z = (form.T @ np.asarray(x, float)).tolist()
+    return homogeneous_norm(norm_polynomial(Pz, z, form.exponents, design.mu), design.mu)
 
 
 def settling_time_bound(design: Design, x0: Array) -> float:

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from filing.files import write_file
 from fmu_export.errors import UserError, shown
-from fmu_export.files import write_file
 from fmu_export.reading import parse_json, read_text
 
 from .block_form import BlockForm, block_form

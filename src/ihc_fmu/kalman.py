@@ -13,6 +13,7 @@ from math import frexp, inf, nan, pi
 import numpy as np
 
 from fmu_export.errors import UserError
+from rotary_pendulum import linearization
 
 from .homogeneity import Matrix, product, solve, transpose
 from .pendulum.nominal_model import NominalModel
@@ -43,15 +44,7 @@ class KalmanOptions:
 
 def linearize(m: NominalModel) -> tuple[Array, Array]:
     """Return (A, b) of the nominal model at the upright equilibrium, for the motor voltage as input."""
-    determinant = m.arm_inertia * m.pendulum_inertia - m.coupling**2
-    from_arm = np.array([m.pendulum_inertia, m.coupling]) / determinant  # accelerations per torque on the arm
-    from_pendulum = np.array([m.coupling, m.arm_inertia]) / determinant
-    A = np.zeros((4, 4))
-    A[:2, 2:] = np.eye(2)
-    A[2:, 1] = m.gravity_torque * from_pendulum
-    A[2:, 2] = -(m.arm_damping + m.motor_damping) * from_arm
-    A[2:, 3] = -m.pendulum_damping * from_pendulum
-    return A, np.concatenate([[0.0, 0.0], m.torque_per_volt * from_arm])
+    return linearization.linearize(m.pendulum, m.torque_per_volt)
 
 
 def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = None) -> Array:

@@ -250,7 +250,7 @@ class _Program:
         self.bounds = options.bounds(system.m)
         form = block_form(system.A, system.B, [q.name for q in system.states])
         self.K_0, self.G = form.K_0, form.generator(options.mu)
-        if not 0 <= options.index < system.n:
+        if options.delta_max is not None and not 0 <= options.index < system.n:
             raise UserError(f"the bounded state must be one of 0..{system.n - 1}, found {options.index}")
         self.S = S if system.K is None else S * self._room(S)
 

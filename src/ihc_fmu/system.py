@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_are
 
+from filing.files import write_file
+from filing.origin import WRITTEN
 from fmu_export.errors import UserError, shown
-from fmu_export.files import write_file
-from fmu_export.ownership import WRITTEN
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 

@@ -8,6 +8,7 @@ from dataclasses import MISSING, dataclass, field, fields, replace
 from typing import Any
 
 from fmu_export.errors import UserError
+from rotary_pendulum.equation import Coefficients, is_regular, lumped
 
 SMALLEST, LARGEST = 1e-12, 1e12
 """Limits of the constants in SI units: products of a few neither vanish nor leave the range of numbers."""
@@ -56,12 +57,23 @@ class QubeParameters:
                 raise UserError(f"{entry.name} must lie in [{low:g}, {high:g}] {entry.metadata['unit']}, found {value}")
         self._check_inertia()
 
+    @property
+    def coefficients(self) -> Coefficients:
+        """The coefficients of eq. (5)."""
+        return lumped(
+            m_p=self.m_p,
+            L_p=self.L_p,
+            J_p=self.J_p,
+            D_p=self.D_p,
+            L_r=self.L_r,
+            J_r=self.J_r,
+            D_r=self.D_r,
+            T_r=self.T_r,
+            g_p=self.g_p,
+        )
+
     def _check_inertia(self) -> None:
-        """Refuse an inertia matrix whose determinant upright, where it is smallest, is below 1e-9 of its diagonal's."""
-        zeta = self.m_p * (self.L_p * self.L_p)
-        diagonal = (self.J_r + self.m_p * (self.L_r * self.L_r)) * (self.J_p + zeta / 4)
-        coupling = self.m_p * self.L_p * self.L_r / 2
-        if not diagonal - coupling * coupling > 1e-9 * diagonal:
+        if not is_regular(self.coefficients):
             raise UserError(
                 f"J_p and J_r must not vanish beside the pendulum's mass, found J_p = {self.J_p:g} kg.m2, J_r = "
                 f"{self.J_r:g} kg.m2 and m_p = {self.m_p:g} kg"

@@ -14,15 +14,19 @@ _GOLDEN = 0x9E3779B97F4A7C15
 
 
 def quantize(angle: float, counts: int, offset: float) -> float:
-    """Return the angle [rad] that an encoder of `counts` per turn reports: r floor(angle/r + offset), r = 2 pi/counts.
+    """Return the angle [rad] that an encoder of `counts` per turn reports; `counts` = 0 is an ideal sensor."""
+    return counted(angle, 2.0 * pi / counts if counts else 0.0, offset)
 
-    `offset` in [0, 1) is where inside its count the encoder was zeroed. 0.5 rounds to the nearest count, which no real
-    encoder does on purpose; a uniformly random offset is what zeroing by hand gives. `counts` = 0 is an ideal sensor.
+
+def counted(value: float, resolution: float, offset: float) -> float:
+    """Return what a counting sensor reports: r floor(value/r + offset), r the resolution; `resolution` = 0 is an ideal one.
+
+    `offset` in [0, 1] is where inside its count the sensor was zeroed. 0.5 rounds to the nearest count, which no real
+    encoder does on purpose; a uniformly random offset is what zeroing by hand gives.
     """
-    if counts == 0:
-        return angle
-    resolution = 2.0 * pi / counts
-    count = angle / resolution + offset
+    if resolution == 0.0:
+        return value
+    count = value / resolution + offset
     return resolution * floor(count) if isfinite(count) else count
 
 

@@ -12,9 +12,11 @@ from dataclasses import fields
 from typing import Any
 
 from fmu_export.errors import UserError
+from rotary_pendulum.equation import energy
+from rotary_pendulum.runge_kutta import rk4_step
 
 from . import dynamics, sensors
-from .integrator import flushed, rk4_step, substeps
+from .integrator import flushed, substeps
 from .interface import MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
 from .parameters import QubeParameters
 
@@ -32,7 +34,8 @@ class QubePlant:
 
     def __init__(self, values: Mapping[str, Any]) -> None:
         physical = QubeParameters(**{f.name: values[f.name] for f in fields(QubeParameters)})
-        self.coefficients = dynamics.coefficients(physical, back_emf=values["back_emf"])
+        self.coefficients = physical.coefficients
+        self.motor = dynamics.motor(physical, back_emf=values["back_emf"])
         self.inductance = MOTOR_MODELS[values["motor_model"] - 1] == "inductance"
         self.voltage_limit: float = values["voltage_limit"]
         self.solver_step: float = values["solver_step"]
@@ -84,10 +87,10 @@ class QubePlant:
             )
         h = step / count
         delay_steps = self._delay_steps(step) if self.delay else 0
-        derivative, c = self.derivative, self.coefficients
+        derivative, c, motor = self.derivative, self.coefficients, self.motor
 
         def f(x: Sequence[float]) -> dynamics.State:
-            return derivative(c, x, applied, tau_p)
+            return derivative(c, motor, x, applied, tau_p)
 
         x = self.x
         try:
@@ -110,9 +113,9 @@ class QubePlant:
     def outputs(self) -> tuple[float, ...]:
         """Return outputs and local variables in the order of the interface."""
         theta, delta, theta_dot, delta_dot = self.x[:4]
-        c = self.coefficients
-        rates = self.derivative(c, self.x, self.applied_voltage, self.applied_torque)
-        current = self.x[4] if self.inductance else dynamics.static_current(c, self.applied_voltage, theta_dot)
+        c, motor = self.coefficients, self.motor
+        rates = self.derivative(c, motor, self.x, self.applied_voltage, self.applied_torque)
+        current = self.x[4] if self.inductance else dynamics.static_current(motor, self.applied_voltage, theta_dot)
         return (
             theta,
             delta,
@@ -120,8 +123,8 @@ class QubePlant:
             delta_dot,
             *self.delay_line[0],
             current,
-            c.k_m * current,
-            dynamics.energy(c, delta, theta_dot, delta_dot),
+            motor.k_m * current,
+            energy(c, delta, theta_dot, delta_dot),
             rates[2],
             rates[3],
             rates[4] if self.inductance else 0.0,

@@ -304,10 +304,13 @@ def start(slaves, controller_start):
 
 @pytest.fixture(scope="session")
 def fmus(tmp_path_factory, slaves, start):
+    from filing.origin import origin
     from fmu_export.python_fmu import export_python_fmu
 
     folder = tmp_path_factory.mktemp("fmus")
-    return {name: export_python_fmu(slaves[name], folder / f"{name}.fmu", start[name]) for name in NAMES}
+    return {
+        name: export_python_fmu(slaves[name], folder / f"{name}.fmu", start[name], origin=origin()) for name in NAMES
+    }
 
 
 def unpacked(files, tmp_path_factory):
@@ -331,10 +334,14 @@ def native_units():
 
 @pytest.fixture(scope="session")
 def native_fmus(tmp_path_factory, native_units, start):
+    from filing.origin import origin
     from fmu_export.native_fmu import export_native_fmu
 
     folder = tmp_path_factory.mktemp("native")
-    return {name: export_native_fmu(native_units[name], folder / f"{name}.fmu", start[name]) for name in NAMES}
+    return {
+        name: export_native_fmu(native_units[name], folder / f"{name}.fmu", start[name], origin=origin())
+        for name in NAMES
+    }
 
 
 @pytest.fixture(scope="session")

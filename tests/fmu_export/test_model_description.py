@@ -13,11 +13,14 @@ from hypothesis import strategies as st
 
 from fmu_export.errors import UserError
 from fmu_export.model_description import Capabilities, model_description
+from fmu_export.origin import Origin
 from fmu_export.units import DISPLAY, base_unit
 from fmu_export.variables import Interface, Variable
 
 reproducible = settings(deadline=None, derandomize=True, database=None)
-CAPABILITIES = Capabilities("Everything", needs_execution_tool=True, generation_tool="a tool", version="1.2.3")
+CAPABILITIES = Capabilities(
+    "Everything", needs_execution_tool=True, generation_tool="a tool", origin=Origin(version="1.2.3")
+)
 
 
 def described(interface, start=None, **changes):
@@ -222,6 +225,7 @@ def test_every_real_has_a_unit_defined_with_its_exponents(name, fmus):
         exponents = {key: getattr(base, key) for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
         known = base_unit(symbol or "")
         assert known is not None
+        assert base is not None
         assert {key: power for key, power in exponents.items() if power} == known.powers
         assert (base.factor, base.offset) == (known.factor, known.offset) == (1.0, 0.0)
 

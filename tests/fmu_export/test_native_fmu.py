@@ -20,15 +20,16 @@ from fmpy import extract, read_model_description, simulate_fmu
 from fmpy.build import build_platform_binary
 from fmpy.validation import validate_fmu
 
+from filing.origin import origin
 from fmu_export import native_fmu
 from fmu_export.native_build import BINARIES, PLATFORMS, BuildError, host_platform
 from fmu_export.native_fmu import export_native_fmu
 from fmu_export.native_unit import start_value_file, variable_table
 from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B
-from plant_fmu.dynamics import FRICTION_SPEED
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import PARAMETER_SETS
+from rotary_pendulum.equation import FRICTION_SPEED
 
 PLANT, CONTROLLER = "QubeServo2", "IhcController"
 STEP = 1e-3
@@ -136,7 +137,9 @@ def test_both_kinds_of_fmu_have_the_same_units_types_and_experiment(section, nam
 
 
 def test_same_arguments_give_the_same_bytes(name, native_units, native_fmus, start, tmp_path):
-    path = export_native_fmu(native_units[name], tmp_path / "again.fmu", dict(reversed(start[name].items())))
+    path = export_native_fmu(
+        native_units[name], tmp_path / "again.fmu", dict(reversed(start[name].items())), origin=origin()
+    )
     assert path.read_bytes() == native_fmus[name].read_bytes()
 
 
@@ -219,7 +222,9 @@ def test_unknown_platform_is_refused_with_those_that_there_are(native_units, tmp
 def test_binaries_are_for_the_platforms_asked_for(native_units, native_fmus, tmp_path):
     names = [host_platform().name, "aarch64-linux", "aarch64-linux"]
     built = []
-    path = export_native_fmu(native_units[PLANT], tmp_path / "plant.fmu", platforms=names, building=built.append)
+    path = export_native_fmu(
+        native_units[PLANT], tmp_path / "plant.fmu", platforms=names, building=built.append, origin=origin()
+    )
     assert built == [f"{PLANT} for {name}" for name in names[:2]]
     files = contents(path)
     found = {file.split("/")[1] for file in files if file.startswith("binaries/")}

@@ -14,6 +14,7 @@ import pytest
 from fmpy import extract, read_model_description
 
 import fmu_export
+from filing.origin import origin
 from fmu_export.errors import UserError
 from fmu_export.python_fmu import export_python_fmu
 
@@ -24,12 +25,13 @@ SLAVE_MODULES = {"QubeServo2": "plant_fmu.slave", "IhcController": "ihc_fmu.pend
 EXPORT = """
 import fmu_export
 from pathlib import Path
+from filing.origin import origin
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.pendulum.slave import IhcController
 from plant_fmu.slave import QubeServo2
 for slave in (QubeServo2, IhcController):
     name = slave.interface.name
-    export_python_fmu(slave, Path(data["to"]) / f"{name}.fmu", data["start"][name])
+    export_python_fmu(slave, Path(data["to"]) / f"{name}.fmu", data["start"][name], origin=origin())
 result = fmu_export.__file__
 """
 
@@ -80,7 +82,7 @@ def louder_controller(tmp_path_factory, run_python, start):
 
 
 def test_second_export_is_the_same_byte_for_byte(name, slaves, start, fmus, tmp_path):
-    again = export_python_fmu(slaves[name], tmp_path / "again.fmu", start[name])
+    again = export_python_fmu(slaves[name], tmp_path / "again.fmu", start[name], origin=origin())
     assert again.read_bytes() == fmus[name].read_bytes()
 
 

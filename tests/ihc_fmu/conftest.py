@@ -3,13 +3,12 @@
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from ihc_fmu import homogeneity
 from ihc_fmu.companion import chain_form, weights
+from ihc_fmu.homogeneity import chain, homogeneous_norm, norm_polynomial
 from ihc_fmu.laws import chain_design, implicit_homogeneous
 from ihc_fmu.pendulum import interface
 from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN, paper_system
@@ -25,14 +24,14 @@ CONTROLLER_OUTPUTS = [v.name for v in interface.INTERFACE.calculated]
 SEEN_BY_CONTROLLER = [PLANT_OUTPUTS.index(n) for n in ("theta_encoder", "delta_encoder", "theta_dot", "delta_dot")]
 
 
-def chain(design):
+def chain_of(design):
     """Return the chain form of a design for one input."""
     return chain_form(design.A, design.b)
 
 
 def chain_gain(design):
     """Return the homogeneous gain in the chain form, shape (n,)."""
-    return np.linalg.solve(chain(design).Phi.T, design.k_lin + chain(design).row)
+    return np.linalg.solve(chain_of(design).Phi.T, design.k_lin + chain_of(design).row)
 
 
 class IdealLoop:
@@ -43,10 +42,11 @@ class IdealLoop:
 
     def __init__(self, design, a_min=0.0):
         self.design, self.a_min = design, a_min
-        form = chain_form(design.A, design.b)
-        self.Phi: Any = form.Phi
-        gain, P = design.k_lin.tolist(), design.P.tolist()
-        self.law = chain_design(self.Phi.tolist(), form.row.tolist(), gain, P, design.mu)
+        form = chain_of(design)
+        self.Phi = form.Phi
+        self.law = chain_design(
+            form.Phi.tolist(), form.row.tolist(), design.k_lin.tolist(), design.P.tolist(), design.mu
+        )
 
     def on_the_sphere(self, rng):
         """Return a random x with x' P x = 1."""
@@ -59,9 +59,8 @@ class IdealLoop:
         return np.linalg.solve(self.Phi, r ** weights(d.n, d.mu) * (self.Phi @ x))
 
     def norm(self, x, guess=1.0):
-        law = self.law
-        c = homogeneity.norm_polynomial(law.Pz, (self.Phi @ x).tolist(), law.exponents, law.mu)
-        return homogeneity.homogeneous_norm(c, law.mu, guess)
+        d = self.design
+        return homogeneous_norm(norm_polynomial(self.law.Pz, (self.Phi @ x).tolist(), chain(d.n), d.mu), d.mu, guess)
 
     def velocity(self, x, r, disturbance=0.0):
         """Return x' for the norm r in the law."""

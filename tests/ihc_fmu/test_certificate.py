@@ -12,7 +12,7 @@ from ihc_fmu.block_form import block_form
 from ihc_fmu.certificate import CertificateError, certify, is_positive, norm_of, settling_time_bound
 from ihc_fmu.design import Design
 from ihc_fmu.system import System
-from tests.ihc_fmu.conftest import chain
+from tests.ihc_fmu.conftest import chain_of
 
 X_0 = np.array([0.0, 0.1, 0.0, 0.0])
 
@@ -126,7 +126,7 @@ def test_matched_disturbance_is_claimed_only_at_mu_one(designs):
         (lambda d: {"P": -d.P}, "P > 0 fails"),
         (lambda d: {"P": d.P + np.triu(d.P, 1)}, "P must be symmetric"),
         (
-            lambda d: {"P": chain(d).Phi.T @ (np.ones((4, 4)) + 0.01 * np.eye(4)) @ chain(d).Phi},
+            lambda d: {"P": chain_of(d).Phi.T @ (np.ones((4, 4)) + 0.01 * np.eye(4)) @ chain_of(d).Phi},
             r"G_d' P \+ P G_d > 0 fails: margin -",
         ),
         (lambda d: {"alpha": 0.21}, r"\+ alpha \(G_d' P \+ P G_d\) <= 0 fails: margin -.* \(1/s relative to P\)"),

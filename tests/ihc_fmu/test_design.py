@@ -13,7 +13,7 @@ from ihc_fmu.design import Design
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.synthesis import Options, direct_design, inverse_design, largest_alpha
 from ihc_fmu.system import System
-from tests.ihc_fmu.conftest import chain
+from tests.ihc_fmu.conftest import chain_of
 
 # An independent solution of the same matrix inequalities: mu = 1, alpha = 0.2 1/s, beta = 0.1, |k x| <= u_max.
 P_UMAX_1P5 = [
@@ -68,12 +68,12 @@ def test_gain_is_the_linear_one_plus_the_row_of_the_chain(design):
     """Eq. (10) in the coordinates of x."""
     np.testing.assert_allclose(design.K_h[0], [2.0, -24.677, 1.9998, -2.5], rtol=1e-4)
     np.testing.assert_allclose(
-        np.linalg.solve(chain(design).Phi.T, design.K_h[0]),
+        np.linalg.solve(chain_of(design).Phi.T, design.K_h[0]),
         [-11344.7997, -11343.5853, -1113.4123, -23.42865],
         rtol=1e-8,
     )
     np.testing.assert_allclose(
-        design.K_h[0], np.linalg.solve(chain(design).Phi.T, design.K_h[0]) @ chain(design).Phi, rtol=1e-9
+        design.K_h[0], np.linalg.solve(chain_of(design).Phi.T, design.K_h[0]) @ chain_of(design).Phi, rtol=1e-9
     )
 
 
@@ -86,12 +86,12 @@ def test_printed_gain_is_not_that_of_the_printed_equation(design):
 def test_printed_matrix_fails_the_printed_inequality(design, coordinates, k):
     """Inequality (11) at mu = 1, alpha = 1e-3, for P in pendulum or chain coordinates, with either gain."""
     gain = np.array(PRINTED_K) if k == "printed" else design.K_h[0]
-    P, Phi = np.array(PRINTED_P), chain(design).Phi
+    P, Phi = np.array(PRINTED_P), chain_of(design).Phi
     P = Phi.T @ P @ Phi if coordinates == "z" else P
-    M = design.A - np.outer(design.b, chain(design).row) + np.outer(design.b, gain) + 1e-3 * generator(Phi, 1.0)
+    M = design.A - np.outer(design.b, chain_of(design).row) + np.outer(design.b, gain) + 1e-3 * generator(Phi, 1.0)
     assert np.linalg.eigvals(np.linalg.solve(P, M.T @ P + P @ M)).real.max() > 1.0
     with pytest.raises(CertificateError):
-        Design(system(design.A, design.b, gain - chain(design).row), P, mu=1.0, alpha=1e-3)
+        Design(system(design.A, design.b, gain - chain_of(design).row), P, mu=1.0, alpha=1e-3)
 
 
 @pytest.mark.parametrize("u_max", [0.5, 1.5, 10.0])
@@ -181,7 +181,7 @@ def test_design_with_state_dependent_disturbance_has_the_term_of_remark_3(paper)
     """(A_0 + b k)' P + P (A_0 + b k) + alpha (...) + psi I <= 0, and ten times that psi is refused."""
     options = Options(u_max=10.0, alpha=0.1, psi=1e-3)
     design = inverse_design(system(*paper), options)
-    closed = design.A + np.outer(design.b, design.k_lin) + 0.1 * generator(chain(design).Phi, 1.0)
+    closed = design.A + np.outer(design.b, design.k_lin) + 0.1 * generator(chain_of(design).Phi, 1.0)
     M = closed.T @ design.P + design.P @ closed
     assert np.linalg.eigvalsh(M + 1e-3 * np.eye(4))[-1] <= 0.0
     assert np.linalg.eigvalsh(M + 1e-2 * np.eye(4))[-1] > 0.0

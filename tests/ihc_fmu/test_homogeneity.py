@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from ihc_fmu import homogeneity as hom
 from ihc_fmu.companion import generator
 from tests.ihc_fmu.blocks import exponents_of, random_blocks, random_system
-from tests.ihc_fmu.conftest import chain
+from tests.ihc_fmu.conftest import chain_of
 
 examples = settings(deadline=None, derandomize=True, max_examples=150)
 degrees = st.floats(0.01, 1.0)
@@ -102,9 +102,9 @@ def test_polynomial_equals_the_norm_by_the_matrix_exponential(n, m, mu):
 def test_norm_of_the_papers_system_solves_eq_12(designs):
     """Random states of the pendulum in its own coordinates, where Phi spans eleven decades."""
     for mu, design in designs.items():
-        G, Pz = generator(chain(design).Phi, mu), hom.to_blocks(chain(design).Phi.tolist(), design.P.tolist())
+        G, Pz = generator(chain_of(design).Phi, mu), hom.to_blocks(chain_of(design).Phi.tolist(), design.P.tolist())
         for x in np.random.default_rng(5).normal(size=(30, 4)) * [0.3, 0.1, 1.0, 1.0]:
-            r = norm(np.array(Pz), chain(design).Phi @ x, hom.chain(4), mu)
+            r = norm(np.array(Pz), chain_of(design).Phi @ x, hom.chain(4), mu)
             y = expm(-G * log(r)) @ x
             assert y @ design.P @ y == pytest.approx(1.0, abs=1e-9)
 
@@ -205,13 +205,13 @@ def test_algorithm_as_printed_stays_linear_inside_the_unit_ball():
 
 def test_norm_is_found_from_any_guess_where_newton_alone_would_cycle(design):
     """States on which an unguarded Newton iteration jumps to and fro for ever, and many more from far guesses."""
-    Pz = hom.to_blocks(chain(design).Phi.tolist(), design.P.tolist())
+    Pz = hom.to_blocks(chain_of(design).Phi.tolist(), design.P.tolist())
     rng = np.random.default_rng(4)
     states: list[Any] = [np.array([4.54209828, 0.89417266, 0.05005187, -3.00770324])]
     states += [np.array([112839.47, 36.992, -303.178, -2.51214])]
     states += list(rng.normal(size=(500, 4)) * 10.0 ** rng.uniform(-5, 4, (500, 4)))
     for x in states:
-        c = hom.norm_polynomial(Pz, (chain(design).Phi @ x).tolist(), hom.chain(4), 1.0)
+        c = hom.norm_polynomial(Pz, (chain_of(design).Phi @ x).tolist(), hom.chain(4), 1.0)
         for guess in (1.0, 1e-6, 1e10, 1e100, 1e-60, 0.0, nan):
             r = hom.homogeneous_norm(c, 1.0, guess)
             assert hom.squared_norm(c, 1.0, r * (1 - 1e-9)) > 1.0 > hom.squared_norm(c, 1.0, r * (1 + 1e-9))

@@ -1,59 +1,20 @@
-"""Eq. (5) against a Lagrangian derivation, the pendulum's exact period, energy, and SciPy."""
+"""The pendulum with its motor: power, symmetry, convergence against SciPy, and the motor's two models."""
 
 from dataclasses import replace
-from functools import cache
-from math import cos, log, pi, sin, sqrt
+from math import pi
 
 import numpy as np
 import pytest
-import sympy as sp
 from scipy.integrate import solve_ivp
-from scipy.special import ellipk
 
 from plant_fmu import dynamics
-from plant_fmu.integrator import rk4_step
 from plant_fmu.parameters import PARAMETER_SETS
+from rotary_pendulum.equation import FRICTION_SPEED, energy
+from rotary_pendulum.runge_kutta import rk4_step
 
 SETS = [pytest.param(entry.parameters, id=name) for name, entry in PARAMETER_SETS.items()]
 IDENT = PARAMETER_SETS["ident"].parameters
 RUBBING = replace(IDENT, T_r=5e-4)
-PHYSICAL = ("m_p", "L_p", "J_p", "D_p", "L_r", "J_r", "D_r", "g_p")
-
-
-@cache
-def lagrangian_model():
-    """Equations of motion J(q) q'' = r, and the energy, from the kinematics of a rotary arm that carries a pendulum."""
-    m_p, L_p, J_p, D_p, L_r, J_r, D_r, g_p = symbols = sp.symbols(" ".join(PHYSICAL), positive=True)
-    tau, tau_p, t = sp.symbols("tau tau_p t")
-    theta, delta = q = [sp.Function(name)(t) for name in ("theta", "delta")]
-    theta_dot, delta_dot = q_dot = [sp.diff(f, t) for f in q]
-
-    across = L_p / 2 * sp.sin(delta)  # the centre of mass beside the arm, against the direction of rotation
-    centre = (
-        L_r * sp.cos(theta) + across * sp.sin(theta),
-        L_r * sp.sin(theta) - across * sp.cos(theta),
-        L_p / 2 * sp.cos(delta),
-    )
-    # As in the paper, J_p counts only for the rotation in the pendulum's own plane, not for that about the motor axis.
-    kinetic = (J_r * theta_dot**2 + m_p * sum(sp.diff(r, t) ** 2 for r in centre) + J_p * delta_dot**2) / 2
-    potential = m_p * g_p * centre[2]
-    dissipation = (D_r * theta_dot**2 + D_p * delta_dot**2) / 2
-
-    states, accelerations = sp.symbols("th de thd ded"), sp.symbols("thdd dedd")
-    dynamic = (*(sp.diff(f, t) for f in q_dot), *q_dot, *q)
-    plain = dict(zip(dynamic, (*accelerations, *states[2:], *states[:2]), strict=True))
-    L = kinetic - potential
-    rows = [
-        sp.expand((sp.diff(L, v, t) - sp.diff(L, f) + sp.diff(dissipation, v) - force).subs(plain))
-        for f, v, force in zip(q, q_dot, (tau, tau_p), strict=True)
-    ]
-    mass, right = sp.linear_eq_to_matrix(rows, *accelerations)
-    total = (kinetic + potential - m_p * g_p * L_p / 2).subs(plain)
-    return sp.lambdify((symbols, states, (tau, tau_p)), (mass, right)), sp.lambdify((symbols, states), total)
-
-
-def physical(p):
-    return [getattr(p, name) for name in PHYSICAL]
 
 
 def random_states(count, seed=7):
@@ -62,135 +23,32 @@ def random_states(count, seed=7):
 
 
 def swing(p, *, x=(0.1, 2.0, 1.0, -3.0), back_emf=True, voltage=0.0, h=2e-3, time=1.0):
-    c = dynamics.coefficients(p, back_emf=back_emf)
+    c, m = p.coefficients, dynamics.motor(p, back_emf=back_emf)
     for _ in range(round(time / h)):
-        x = rk4_step(lambda x: dynamics.derivative_static(c, x, voltage, 0.0), x, h)
+        x = rk4_step(lambda x: dynamics.derivative_static(c, m, x, voltage, 0.0), x, h)
     return np.array(x)
-
-
-@pytest.mark.parametrize("p", SETS)
-def test_accelerations_equal_the_lagrangian_derivation(p):
-    equations, _ = lagrangian_model()
-    c = dynamics.coefficients(p)
-    for x, tau in zip(*random_states(200), strict=True):
-        mass, right = equations(physical(p), x, tau)
-        expected = np.linalg.solve(mass, right).ravel()
-        found = dynamics.accelerations(c, x[1], x[2], x[3], *tau)
-        # relative to the norm: a single component may vanish by cancellation
-        assert np.linalg.norm(found - expected) <= 1e-11 * np.linalg.norm(expected)
-
-
-@pytest.mark.parametrize("p", SETS)
-def test_energy_equals_the_lagrangian_derivation_and_is_zero_upright(p):
-    _, total = lagrangian_model()
-    c = dynamics.coefficients(p)
-    for x in random_states(100)[0]:
-        assert dynamics.energy(c, *x[1:]) == pytest.approx(total(physical(p), x), rel=1e-12, abs=1e-15)
-    assert dynamics.energy(c, 0.0, 0.0, 0.0) == 0.0
-    assert dynamics.energy(c, pi, 0.0, 0.0) == pytest.approx(-p.m_p * p.g_p * p.L_p, rel=1e-14)
 
 
 @pytest.mark.parametrize("p", [*SETS, pytest.param(RUBBING, id="dry friction")])
 def test_power_balance_holds_along_the_flow(p):
-    c = dynamics.coefficients(p)
+    c, m = p.coefficients, dynamics.motor(p)
     for x, (tau, tau_p) in zip(*random_states(100), strict=True):
         voltage = 100.0 * tau
-        rate = np.array(dynamics.derivative_static(c, tuple(x), voltage, tau_p))
+        rate = np.array(dynamics.derivative_static(c, m, tuple(x), voltage, tau_p))
         h = 1e-6
-        after, before = (dynamics.energy(c, *(np.array(x) + sign * h * rate)[1:]) for sign in (1, -1))
+        after, before = (energy(c, *(np.array(x) + sign * h * rate)[1:]) for sign in (1, -1))
         motor = p.k_m * (voltage - p.k_m * x[2]) / p.R_m * x[2]
-        dry = -p.T_r * x[2] ** 2 / (abs(x[2]) + dynamics.FRICTION_SPEED)
+        dry = -p.T_r * x[2] ** 2 / (abs(x[2]) + FRICTION_SPEED)
         terms = motor, tau_p * x[3], -p.D_r * x[2] ** 2, -p.D_p * x[3] ** 2, dry
         assert (after - before) / (2 * h) == pytest.approx(sum(terms), abs=1e-6 * sum(map(abs, terms)))
 
 
-@pytest.mark.parametrize("p", SETS)
-def test_energy_is_conserved_over_ten_seconds_without_motor_and_damping(p):
-    x, h = (0.3, 0.5, 2.0, -1.0), 1e-3
-    c = dynamics.coefficients(replace(p, D_p=0.0, D_r=0.0), back_emf=False)
-    start = dynamics.energy(c, *x[1:])
-    drift = 0.0
-    for _ in range(10_000):
-        x = rk4_step(lambda x: dynamics.derivative_static(c, x, 0.0, 0.0), x, h)
-        drift = max(drift, abs(dynamics.energy(c, *x[1:]) - start))
-    assert drift < 1e-6 * 2 * c.gravity
-
-
-def test_dry_friction_alone_takes_energy_and_never_adds_any():
-    p = replace(RUBBING, D_p=0.0, D_r=0.0)
-    c = dynamics.coefficients(p, back_emf=False)
-    x, energies, h = (0.3, 2.0, 5.0, -1.0), [], 2e-4
-    for _ in range(20_000):
-        energies.append(dynamics.energy(c, *x[1:]))
-        x = rk4_step(lambda x: dynamics.derivative_static(c, x, 0.0, 0.0), x, h)
-    assert max(np.diff(energies)) < 1e-10 * c.gravity
-    assert energies[-1] < energies[0] - 0.5 * c.gravity
-
-
-def test_spinning_arm_slows_down_as_the_separated_equation_says():
-    """J v' = -T_r v/(v + v_s) has v + v_s ln v = v_0 + v_s ln v_0 - T_r t/J."""
-    p = replace(RUBBING, m_p=1e-12, D_r=0.0)  # the pendulum weighs nothing
-    v_s, v_0, h = dynamics.FRICTION_SPEED, 2.0, 1e-3
-    for time in (0.05, 0.2, 0.25):
-        v = swing(p, x=(0.0, 0.0, v_0, 0.0), back_emf=False, h=h, time=time)[2]
-        assert 0.0 < v < v_0
-        assert v + v_s * log(v) == pytest.approx(v_0 + v_s * log(v_0) - p.T_r * time / p.J_r, abs=1e-7)
-
-
-def test_torque_below_the_dry_friction_only_creeps():
-    """The torque tau and the friction T_r v/(v + v_s) balance at v = v_s tau/(T_r - tau)."""
-    tau = 0.3 * RUBBING.T_r
-    p = replace(RUBBING, D_r=0.0)
-    x = swing(p, x=(0.0, pi, 0.0, 0.0), back_emf=False, voltage=tau * p.R_m / p.k_m, time=8.0)
-    assert x[2] == pytest.approx(dynamics.FRICTION_SPEED * 0.3 / 0.7, rel=1e-6)
-
-
-def test_plant_without_dry_friction_is_the_papers_to_the_last_bit():
-    c = dynamics.coefficients(IDENT)
-    for (_, delta, v, w), (tau, tau_p) in zip(*random_states(500), strict=True):
-        s, k = sin(delta), cos(delta)
-        j_11, j_12, sk = c.J_11 + c.zeta_4 * s * s, -c.varpi_2 * k, c.zeta_4 * s * k
-        r_1 = tau - (2.0 * sk * w + c.D_r) * v - c.varpi_2 * s * w * w
-        r_2 = tau_p + sk * v * v - c.D_p * w + c.gravity * s
-        determinant = j_11 * c.J_22 - j_12 * j_12
-        expected = (c.J_22 * r_1 - j_12 * r_2) / determinant, (j_11 * r_2 - j_12 * r_1) / determinant
-        assert dynamics.accelerations(c, delta, v, w, tau, tau_p) == expected
-
-
-def test_arrays_of_states_have_the_accelerations_of_each():
-    c = dynamics.coefficients(RUBBING)
-    states, torques = random_states(50)
-    (_, delta, v, w), (tau, tau_p) = np.transpose(states), np.transpose(torques)
-    found = dynamics.solve(c, np.sin(delta), np.cos(delta), v, w, tau, tau_p)  # type: ignore[arg-type]
-    expected = [dynamics.accelerations(c, *x[1:], *t) for x, t in zip(states, torques, strict=True)]
-    np.testing.assert_allclose(np.transpose(found), expected, rtol=1e-12)
-
-
-def test_pendulum_on_a_heavy_arm_has_the_period_of_the_elliptic_integral():
-    p = replace(IDENT, J_r=1e9, D_p=0.0, D_r=0.0)
-    amplitude = 2.0
-    omega = sqrt(p.m_p * p.g_p * p.L_p / 2 / (p.J_p + p.m_p * p.L_p**2 / 4))
-    period = 4 * ellipk(sin(amplitude / 2) ** 2) / omega
-    start = (0.0, pi - amplitude, 0.0, 0.0)
-    half, whole = (swing(p, x=start, back_emf=False, h=period / 2000, time=time) for time in (period / 2, period))
-    np.testing.assert_allclose(half, (0.0, pi + amplitude, 0.0, 0.0), atol=1e-8)
-    np.testing.assert_allclose(whole, start, atol=1e-8)
-
-
-def test_quarter_turn_pendulum_adds_its_lumped_inertia_to_the_arm():
-    c = dynamics.coefficients(IDENT)
-    zeta, psi = IDENT.m_p * IDENT.L_p**2, IDENT.m_p * IDENT.L_r**2
-    theta_ddot, delta_ddot = dynamics.accelerations(c, pi / 2, 0.0, 0.0, 0.01, 0.0)
-    assert theta_ddot == pytest.approx(0.01 / (IDENT.J_r + psi + zeta / 4), rel=1e-12)
-    assert delta_ddot == pytest.approx(IDENT.m_p * IDENT.g_p * IDENT.L_p / 2 / (IDENT.J_p + zeta / 4), rel=1e-12)
-
-
 def test_derivatives_do_not_depend_on_the_arm_angle_and_mirror_with_the_state():
-    c = dynamics.coefficients(IDENT)
+    c, m = IDENT.coefficients, dynamics.motor(IDENT)
     for x, (voltage, tau_p) in zip(*random_states(20), strict=True):
-        rate = np.array(dynamics.derivative_static(c, tuple(x), voltage, tau_p))
-        turned = dynamics.derivative_static(c, (x[0] + 1.7, *x[1:]), voltage, tau_p)
-        mirrored = dynamics.derivative_static(c, tuple(-np.array(x)), -voltage, -tau_p)
+        rate = np.array(dynamics.derivative_static(c, m, tuple(x), voltage, tau_p))
+        turned = dynamics.derivative_static(c, m, (x[0] + 1.7, *x[1:]), voltage, tau_p)
+        mirrored = dynamics.derivative_static(c, m, tuple(-np.array(x)), -voltage, -tau_p)
         np.testing.assert_array_equal(rate, turned)
         np.testing.assert_array_equal(rate, -np.array(mirrored))
 
@@ -199,9 +57,9 @@ def test_runge_kutta_has_order_four_on_a_swing():
     def error(h):
         return np.linalg.norm(swing(IDENT, voltage=3.0, h=h) - exact)
 
-    c = dynamics.coefficients(IDENT)
+    c, m = IDENT.coefficients, dynamics.motor(IDENT)
     exact = solve_ivp(
-        lambda _, x: dynamics.derivative_static(c, tuple(x), 3.0, 0.0),
+        lambda _, x: dynamics.derivative_static(c, m, tuple(x), 3.0, 0.0),
         (0.0, 1.0),
         (0.1, 2.0, 1.0, -3.0),
         method="DOP853",
@@ -215,20 +73,22 @@ def test_runge_kutta_has_order_four_on_a_swing():
 
 @pytest.mark.parametrize("back_emf", [True, False])
 def test_static_current_is_the_equilibrium_of_the_inductance_model(back_emf):
-    c = dynamics.coefficients(IDENT, back_emf=back_emf)
+    c, m = IDENT.coefficients, dynamics.motor(IDENT, back_emf=back_emf)
     k_e = IDENT.k_m if back_emf else 0.0
-    current = dynamics.static_current(c, 5.0, 20.0)
+    current = dynamics.static_current(m, 5.0, 20.0)
     assert current == pytest.approx((5.0 - k_e * 20.0) / IDENT.R_m, rel=1e-14)
     x = (0.3, 2.0, 20.0, -4.0)
-    static = dynamics.derivative_static(c, x, 5.0, 0.01)
-    np.testing.assert_allclose(dynamics.derivative_inductance(c, (*x, current), 5.0, 0.01), (*static, 0.0), atol=1e-9)
+    static = dynamics.derivative_static(c, m, x, 5.0, 0.01)
+    np.testing.assert_allclose(
+        dynamics.derivative_inductance(c, m, (*x, current), 5.0, 0.01), (*static, 0.0), atol=1e-9
+    )
 
 
 def test_inductance_model_tends_to_the_static_one_at_first_order():
     def final(p, derivative, x):
-        c = dynamics.coefficients(p)
+        c, m = p.coefficients, dynamics.motor(p)
         run = solve_ivp(
-            lambda _, x: derivative(c, tuple(x), 5.0, 0.0), (0.0, 0.1), x, method="DOP853", rtol=1e-11, atol=1e-11
+            lambda _, x: derivative(c, m, tuple(x), 5.0, 0.0), (0.0, 0.1), x, method="DOP853", rtol=1e-11, atol=1e-11
         )
         return run.y[:4, -1]
 
@@ -243,17 +103,9 @@ def test_inductance_model_tends_to_the_static_one_at_first_order():
 
 def test_current_rises_exponentially_on_a_blocked_arm():
     p = replace(IDENT, J_r=1e9)
-    c = dynamics.coefficients(p)
+    c, m = p.coefficients, dynamics.motor(p)
     x, h, time_constant = (0.0, pi, 0.0, 0.0, 0.0), 1e-6, p.L_m / p.R_m
     for n in range(1, 501):
-        x = rk4_step(lambda x: dynamics.derivative_inductance(c, x, 10.0, 0.0), x, h)
+        x = rk4_step(lambda x: dynamics.derivative_inductance(c, m, x, 10.0, 0.0), x, h)
         if n % 100 == 0:
             assert x[4] == pytest.approx(10.0 / p.R_m * (1.0 - np.exp(-n * h / time_constant)), rel=1e-9)
-
-
-def test_coupling_accelerates_the_upright_pendulum_with_the_arm():
-    theta_ddot, delta_ddot = dynamics.accelerations(dynamics.coefficients(IDENT), 0.0, 0.0, 0.0, 0.01, 0.0)
-    zeta_4 = IDENT.m_p * IDENT.L_p**2 / 4
-    assert delta_ddot / theta_ddot == pytest.approx(
-        IDENT.m_p * IDENT.L_p * IDENT.L_r / 2 / (IDENT.J_p + zeta_4), rel=1e-12
-    )

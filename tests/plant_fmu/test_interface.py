@@ -34,8 +34,9 @@ def test_named_set_becomes_a_plant_with_its_constants(name):
     chosen = PARAMETER_SETS[name]
     values = INTERFACE.start_values(start_values(name))
     assert QubeParameters(**{f.name: values[f.name] for f in fields(QubeParameters)}) == chosen.parameters
-    c = QubePlant(values).coefficients
-    assert c.k_e == (chosen.parameters.k_m if chosen.back_emf else 0.0)
+    plant = QubePlant(values)
+    c = plant.coefficients
+    assert plant.motor.k_e == (chosen.parameters.k_m if chosen.back_emf else 0.0)
     assert (c.D_p, c.D_r) == (chosen.parameters.D_p, chosen.parameters.D_r)
 
 

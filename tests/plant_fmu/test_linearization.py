@@ -21,10 +21,10 @@ def closed_loop_poles(name, *, back_emf=True):
 @pytest.mark.parametrize("p", SETS)
 @pytest.mark.parametrize("back_emf", [True, False])
 def test_matrices_are_the_derivatives_of_the_nonlinear_model_upright(p, back_emf):
-    c = dynamics.coefficients(p, back_emf=back_emf)
+    c, m = p.coefficients, dynamics.motor(p, back_emf=back_emf)
 
     def rate(z):
-        return np.array(dynamics.derivative_static(c, tuple(z[:4]), z[4], 0.0))
+        return np.array(dynamics.derivative_static(c, m, tuple(z[:4]), z[4], 0.0))
 
     h = 1e-4
     differences = np.column_stack([(rate(h * e) - rate(-h * e)) / (2 * h) for e in np.eye(5)])

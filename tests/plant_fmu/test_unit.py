@@ -158,13 +158,13 @@ def test_energy_is_constant_without_damping_and_back_emf():
 def test_swing_under_piecewise_constant_voltage_equals_scipy(motor_model, solver_step, segments):
     unit = plant(**MOVING, motor_model=motor_model, solver_step=solver_step)
     derivative = dynamics.derivative_inductance if motor_model == "inductance" else dynamics.derivative_static
-    c = dynamics.coefficients(IDENT)
+    c, m = IDENT.coefficients, dynamics.motor(IDENT)
     expected = np.array(unit.x)
     voltages = np.random.default_rng(3).uniform(-6.0, 6.0, segments)
     for k, voltage in enumerate(voltages):
         unit.step(0.1 * k, 0.1, (voltage, 0.0, 2e-3))
         segment = solve_ivp(
-            lambda _, x, v=voltage: derivative(c, tuple(x), v, 2e-3),
+            lambda _, x, v=voltage: derivative(c, m, tuple(x), v, 2e-3),
             (0.0, 0.1),
             expected,
             method="DOP853",

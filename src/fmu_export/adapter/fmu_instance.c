@@ -17,7 +17,7 @@ enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 2 };
 #define FMU_SELDOM
 #endif
 
-static const unsigned long SNAPSHOT_MAGIC = 0x51554245ul; /* "QUBE" */
+static const unsigned long SNAPSHOT_MAGIC = 0x464D5573ul; /* "FMUs" */
 static const double TIME_TOLERANCE = 1e-6;                /* of a step, between the end of one and the start of the next */
 
 static const char *const TYPE_NAMES[] = {"Real", "Integer", "Boolean"};

@@ -1,5 +1,7 @@
 #include "ihc_controller.h"
 
+#include "rotary_pendulum.h"
+
 enum { N = IHC_ORDER };
 
 static const double PI = 3.14159265358979323846;
@@ -18,54 +20,51 @@ static double sliding_mode(const ihc_params *p, const double x[N])
 
 /* ---- Nominal model, eq. (5) in lumped numbers -------------------------------------------------------------------- */
 
-static void accelerations(const ihc_params *m, double delta, double theta_dot, double delta_dot, double voltage,
-                          double *theta_ddot, double *delta_ddot)
+static pendulum_coefficients nominal_pendulum(const ihc_params *m)
 {
-    const double s = sin(delta), c = cos(delta);
-    const double pull = m->nominal_swing_inertia * s * c;
-    double arm = m->nominal_torque_per_volt * voltage
-        - (m->nominal_arm_damping + m->nominal_motor_damping + 2.0 * pull * delta_dot) * theta_dot;
-    arm -= m->nominal_coupling * s * delta_dot * delta_dot;
-    const double pendulum = (m->nominal_gravity_torque * s - m->nominal_pendulum_damping * delta_dot)
-        + pull * theta_dot * theta_dot;
-    const double inertia = m->nominal_arm_inertia + m->nominal_swing_inertia * s * s;
-    const double mixed = m->nominal_coupling * c;
-    const double determinant = inertia * m->nominal_pendulum_inertia - mixed * mixed;
-    *theta_ddot = (m->nominal_pendulum_inertia * arm + mixed * pendulum) / determinant;
-    *delta_ddot = (inertia * pendulum + mixed * arm) / determinant;
+    pendulum_coefficients c;
+    c.J_11 = m->nominal_arm_inertia;
+    c.J_22 = m->nominal_pendulum_inertia;
+    c.zeta_4 = m->nominal_swing_inertia;
+    c.varpi_2 = m->nominal_coupling;
+    c.gravity = m->nominal_gravity_torque;
+    c.D_r = m->nominal_arm_damping + m->nominal_motor_damping;
+    c.T_r = 0.0;
+    c.D_p = m->nominal_pendulum_damping;
+    return c;
 }
 
 /* The voltage under which the arm accelerates by theta_ddot: inverse dynamics. */
 static double voltage_for(const ihc_params *m, double delta, double theta_dot, double delta_dot, double theta_ddot)
 {
-    const double s = sin(delta), c = cos(delta);
-    const double pull = m->nominal_swing_inertia * s * c;
-    const double pendulum = m->nominal_gravity_torque * s - m->nominal_pendulum_damping * delta_dot
-        + pull * theta_dot * theta_dot;
-    const double delta_ddot = (pendulum + m->nominal_coupling * c * theta_ddot) / m->nominal_pendulum_inertia;
-    double torque = (m->nominal_arm_inertia + m->nominal_swing_inertia * s * s) * theta_ddot
-        - m->nominal_coupling * c * delta_ddot;
-    torque += (m->nominal_arm_damping + m->nominal_motor_damping + 2.0 * pull * delta_dot) * theta_dot;
-    torque += m->nominal_coupling * s * delta_dot * delta_dot;
-    return torque / m->nominal_torque_per_volt;
+    const pendulum_coefficients c = nominal_pendulum(m);
+    return pendulum_arm_torque(&c, delta, theta_dot, delta_dot, theta_ddot) / m->nominal_torque_per_volt;
+}
+
+/* The nominal pendulum under a held torque of its motor. */
+typedef struct {
+    pendulum_coefficients c;
+    double torque;
+} held_pendulum;
+
+static void held_rate(const void *model, const double x[PENDULUM_MOST_STATES], double dx[PENDULUM_MOST_STATES])
+{
+    const held_pendulum *pendulum = model;
+    dx[0] = x[2];
+    dx[1] = x[3];
+    pendulum_accelerations(&pendulum->c, x[1], x[2], x[3], pendulum->torque, 0.0, &dx[2], &dx[3]);
+    dx[4] = 0.0; /* no motor's state */
 }
 
 /* The state after h under a held voltage: one classical Runge-Kutta step. */
 static void predict(const ihc_params *m, const double x[4], double voltage, double h, double y[4])
 {
-    const double half = 0.5 * h, sixth = h / 6.0;
-    double a1, b1, a2, b2, a3, b3, a4, b4;
-    accelerations(m, x[1], x[2], x[3], voltage, &a1, &b1);
-    const double v2 = x[2] + half * a1, w2 = x[3] + half * b1;
-    accelerations(m, x[1] + half * x[3], v2, w2, voltage, &a2, &b2);
-    const double v3 = x[2] + half * a2, w3 = x[3] + half * b2;
-    accelerations(m, x[1] + half * w2, v3, w3, voltage, &a3, &b3);
-    const double v4 = x[2] + h * a3, w4 = x[3] + h * b3;
-    accelerations(m, x[1] + h * w3, v4, w4, voltage, &a4, &b4);
-    y[0] = x[0] + sixth * (x[2] + 2.0 * (v2 + v3) + v4);
-    y[1] = x[1] + sixth * (x[3] + 2.0 * (w2 + w3) + w4);
-    y[2] = x[2] + sixth * (a1 + 2.0 * (a2 + a3) + a4);
-    y[3] = x[3] + sixth * (b1 + 2.0 * (b2 + b3) + b4);
+    const held_pendulum pendulum = {nominal_pendulum(m), m->nominal_torque_per_volt * voltage};
+    double state[PENDULUM_MOST_STATES] = {x[0], x[1], x[2], x[3], 0.0};
+    pendulum_rk4_step(held_rate, &pendulum, state, h);
+    for (int i = 0; i < 4; i++) {
+        y[i] = state[i];
+    }
 }
 
 /* ---- Estimators -------------------------------------------------------------------------------------------------- */
@@ -155,13 +154,6 @@ static int to_chain(const ihc_params *p, block_design *d)
     return prepare_block_design(d);
 }
 
-/* Whether the determinant of the nominal inertia matrix upright, where it is smallest, is more than rounding. */
-static int is_regular(const ihc_params *p)
-{
-    const double diagonal = p->nominal_arm_inertia * p->nominal_pendulum_inertia;
-    return diagonal - p->nominal_coupling * p->nominal_coupling > 1e-9 * diagonal;
-}
-
 ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
 {
     if (!to_chain(p, &q->design)) {
@@ -173,21 +165,22 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
     if (p->a_min > p->b_max) {
         return IHC_LIMITS;
     }
-    if (!is_regular(p)) {
+    const pendulum_coefficients pendulum = nominal_pendulum(p);
+    if (!pendulum_is_regular(&pendulum)) {
         return IHC_SINGULAR_MODEL;
     }
     if (p->capture_angle > p->fall_back_angle) {
         return IHC_ANGLES;
     }
-    if (p->velocity_source == IHC_VELOCITY_KALMAN
+    if (p->velocity_source == IHC_VELOCITY_SOURCE_KALMAN
         && fabs(p->kalman_sample_time - p->sample_time) > 1e-9 * p->sample_time) {
         return IHC_KALMAN_TIME;
     }
     q->decay = flushed(exp(-p->velocity_filter_cutoff * p->sample_time), LEAST);
     q->bias_decay = exp(-BIAS_DECAY * p->sample_time);
     alpha_beta_gains(p->observer_acceleration_noise, p->observer_resolution, p->sample_time, q->observer_gain);
-    q->search = (norm_search){p->norm_solver == IHC_NORM_EXACT, p->a_min, p->b_max, p->j_max};
-    q->ahead = p->discretization == IHC_SEMI_IMPLICIT ? p->sample_time : 0.0;
+    q->search = (norm_search){p->norm_solver == IHC_NORM_SOLVER_EXACT, p->a_min, p->b_max, p->j_max};
+    q->ahead = p->discretization == IHC_DISCRETIZATION_SEMI_IMPLICIT ? p->sample_time : 0.0;
     return IHC_OK;
 }
 
@@ -208,7 +201,7 @@ static void observed_state(const ihc_state *s, double x[N])
 
 static void first_estimate(const ihc_params *p, const ihc_inputs *u, double x[N])
 {
-    const int measured = p->velocity_source == IHC_VELOCITY_INPUTS;
+    const int measured = p->velocity_source == IHC_VELOCITY_SOURCE_INPUTS;
     x[0] = u->theta;
     x[1] = wrap(u->delta);
     x[2] = measured ? u->theta_dot : 0.0;
@@ -245,10 +238,10 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
     const double delta = unwrap(s, u->delta); /* for those who differentiate; whole turns cost it small digits */
     x[0] = u->theta;
     x[1] = wrap(u->delta);
-    if (p->velocity_source == IHC_VELOCITY_INPUTS) {
+    if (p->velocity_source == IHC_VELOCITY_SOURCE_INPUTS) {
         x[2] = u->theta_dot;
         x[3] = u->delta_dot;
-    } else if (p->velocity_source == IHC_VELOCITY_KALMAN) {
+    } else if (p->velocity_source == IHC_VELOCITY_SOURCE_KALMAN) {
         if (fabs(x[1]) > p->kalman_angle) {
             s->disturbance = s->bias = 0.0;
             observe(p, q, s, u->theta, delta);
@@ -259,7 +252,7 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
     } else {
         s->theta_dot = x[2] = filter_velocity(p->velocity_filter_cutoff, q->decay, &s->theta_lag, u->theta);
         s->delta_dot = x[3] = filter_velocity(p->velocity_filter_cutoff, q->decay, &s->delta_lag, delta);
-        if (s->mode == IHC_STABILIZING && fabs(x[1]) <= p->fall_back_angle) {
+        if (s->mode == IHC_MODE_STABILIZING && fabs(x[1]) <= p->fall_back_angle) {
             s->observed[0] = u->theta;
             s->observed[1] = delta;
             s->observed[2] = x[2];
@@ -274,15 +267,15 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
 static int32_t next_mode(const ihc_params *p, int32_t mode, double level, double delta, double delta_dot)
 {
     if (!p->enabled) {
-        return IHC_IDLE;
+        return IHC_MODE_IDLE;
     }
-    if (mode == IHC_STABILIZING && fabs(delta) <= p->fall_back_angle) {
-        return IHC_STABILIZING;
+    if (mode == IHC_MODE_STABILIZING && fabs(delta) <= p->fall_back_angle) {
+        return IHC_MODE_STABILIZING;
     }
     if (level < p->capture_level && fabs(delta) < p->capture_angle && fabs(delta_dot) < p->capture_velocity) {
-        return IHC_STABILIZING;
+        return IHC_MODE_STABILIZING;
     }
-    return p->swing_up_enabled ? IHC_SWING_UP : IHC_IDLE;
+    return p->swing_up_enabled ? IHC_MODE_SWING_UP : IHC_MODE_IDLE;
 }
 
 static double swing_up_voltage(const ihc_params *p, const double x[N])
@@ -315,13 +308,13 @@ static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ih
 
 static ihc_status fail(ihc_state *s, int32_t fault)
 {
-    const int known = s->mode == IHC_FAULT;
+    const int known = s->mode == IHC_MODE_FAULT;
     s->voltage = 0.0;
     s->norm_used = 1.0;
     if (known) {
         return IHC_OK;
     }
-    s->mode = IHC_FAULT;
+    s->mode = IHC_MODE_FAULT;
     s->fault = fault;
     return IHC_NEW_FAULT;
 }
@@ -338,10 +331,10 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     block_state chain;
     const int32_t bad = bad_inputs(u);
     if (bad) {
-        s->bad_inputs = s->mode == IHC_FAULT ? s->bad_inputs : bad;
-        return fail(s, IHC_FAULT_INPUT);
+        s->bad_inputs = s->mode == IHC_MODE_FAULT ? s->bad_inputs : bad;
+        return fail(s, IHC_FAULT_NON_FINITE_INPUT);
     }
-    if (s->mode == IHC_FAULT) {
+    if (s->mode == IHC_MODE_FAULT) {
         return IHC_OK;
     }
     const ihc_inputs measured = {flushed(u->theta, LEAST), flushed(u->delta, LEAST), flushed(u->theta_dot, LEAST),
@@ -352,16 +345,16 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
         prime(p, s, &measured, x);
     }
     if (!isfinite(x[0] + x[1] + x[2] + x[3])) {
-        return fail(s, IHC_FAULT_CONTROL);
+        return fail(s, IHC_FAULT_NON_FINITE_CONTROL);
     }
     make_block_state(&q->design, x, &chain);
     s->norm = homogeneous_norm(&q->design, &chain.polynomial, s->norm);
     const int32_t earlier = s->mode;
     s->mode = next_mode(p, earlier, squared_norm(&q->design, &chain.polynomial, 1.0), x[1], x[3]);
-    if (s->mode == IHC_STABILIZING && earlier != IHC_STABILIZING) {
+    if (s->mode == IHC_MODE_STABILIZING && earlier != IHC_MODE_STABILIZING) {
         s->interval[0] = p->a_min;
         s->interval[1] = p->b_max;
-        if (p->velocity_source == IHC_VELOCITY_FILTER) {
+        if (p->velocity_source == IHC_VELOCITY_SOURCE_FILTER) {
             x[0] = measured.theta;
             x[1] = wrap(measured.delta);
             x[2] = s->theta_dot;
@@ -373,16 +366,16 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     s->theta_dot = x[2];
     s->delta_dot = x[3];
     s->norm_used = 1.0;
-    if (s->mode == IHC_SWING_UP) {
+    if (s->mode == IHC_MODE_SWING_UP) {
         command = swing_up_voltage(p, x);
-    } else if (s->mode == IHC_STABILIZING) {
+    } else if (s->mode == IHC_MODE_STABILIZING) {
         command = stabilizing_voltage(p, q, s, x, &chain);
         if (p->compensate_disturbance) {
             command -= s->disturbance;
         }
     }
     if (!isfinite(command)) {
-        return fail(s, IHC_FAULT_CONTROL);
+        return fail(s, IHC_FAULT_NON_FINITE_CONTROL);
     }
     s->voltage = clamp(command, -p->voltage_limit, p->voltage_limit);
     return IHC_OK;
@@ -393,7 +386,7 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     static const ihc_state zero;
     *s = zero;
     s->clock.start_time = time;
-    s->mode = IHC_IDLE;
+    s->mode = IHC_MODE_IDLE;
     s->fault = IHC_FAULT_NONE;
     s->norm_used = 1.0;
     s->interval[0] = p->a_min;

@@ -8,7 +8,7 @@ import numpy as np
 
 from fmu_export.errors import UserError
 from fmu_export.variables import Value
-from plant_fmu.dynamics import coefficients
+from plant_fmu.dynamics import motor
 from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 
 from ..companion import chain_form
@@ -26,7 +26,7 @@ CAPTURE_FRACTION = 0.85
 
 def nominal_values(p: QubeParameters) -> dict[str, Value]:
     """Return the lumped coefficients of the controller's nominal model for the pendulum `p`."""
-    c = coefficients(p)
+    c, m = p.coefficients, motor(p)
     numbers = {
         "arm_inertia": c.J_11,
         "pendulum_inertia": c.J_22,
@@ -35,8 +35,8 @@ def nominal_values(p: QubeParameters) -> dict[str, Value]:
         "gravity_torque": c.gravity,
         "arm_damping": c.D_r,
         "pendulum_damping": c.D_p,
-        "torque_per_volt": c.k_m / c.R_m,
-        "motor_damping": c.k_m * c.k_e / c.R_m,
+        "torque_per_volt": m.k_m / m.R_m,
+        "motor_damping": m.k_m * m.k_e / m.R_m,
     }
     return {f"nominal_{name}": value for name, value in numbers.items()}
 

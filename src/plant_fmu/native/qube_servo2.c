@@ -3,22 +3,19 @@
 #include <math.h>
 
 static const double PI = 3.14159265358979323846;
-static const double FRICTION_SPEED = 0.05; /* v_s: at this speed dry friction is half of T_r [rad/s] */
-static const double STEPS_PER_TIME_CONSTANT = 2.0;
-static const double LEAST = 0x1p-300; /* smaller states, voltages and torques count as 0: see integrator.LEAST */
 
 qube_coefficients qube_lump(const qube_params *p)
 {
     const double zeta = p->m_p * (p->L_p * p->L_p);
     qube_coefficients c;
-    c.J_11 = p->J_r + p->m_p * (p->L_r * p->L_r);
-    c.J_22 = p->J_p + zeta / 4.0;
-    c.zeta_4 = zeta / 4.0;
-    c.varpi_2 = p->m_p * p->L_p * p->L_r / 2.0;
-    c.gravity = p->m_p * p->g_p * p->L_p / 2.0;
-    c.D_r = p->D_r;
-    c.T_r = p->T_r;
-    c.D_p = p->D_p;
+    c.pendulum.J_11 = p->J_r + p->m_p * (p->L_r * p->L_r);
+    c.pendulum.J_22 = p->J_p + zeta / 4.0;
+    c.pendulum.zeta_4 = zeta / 4.0;
+    c.pendulum.varpi_2 = p->m_p * p->L_p * p->L_r / 2.0;
+    c.pendulum.gravity = p->m_p * p->g_p * p->L_p / 2.0;
+    c.pendulum.D_r = p->D_r;
+    c.pendulum.T_r = p->T_r;
+    c.pendulum.D_p = p->D_p;
     c.k_m = p->k_m;
     c.k_e = p->back_emf ? p->k_m : 0.0;
     c.R_m = p->R_m;
@@ -26,30 +23,14 @@ qube_coefficients qube_lump(const qube_params *p)
     return c;
 }
 
-/* Solve eq. (5) for theta'', delta''. */
-static void accelerations(const qube_coefficients *c, double delta, double theta_dot, double delta_dot, double tau,
-                          double tau_p, double *theta_ddot, double *delta_ddot)
-{
-    const double s = sin(delta), k = cos(delta);
-    const double damping = c->D_r + c->T_r / (fabs(theta_dot) + FRICTION_SPEED);
-    const double j_11 = c->J_11 + c->zeta_4 * s * s;
-    const double j_12 = -c->varpi_2 * k;
-    const double sk = c->zeta_4 * s * k;
-    const double r_1 = tau - (2.0 * sk * delta_dot + damping) * theta_dot - c->varpi_2 * s * delta_dot * delta_dot;
-    const double r_2 = tau_p + sk * theta_dot * theta_dot - c->D_p * delta_dot + c->gravity * s;
-    const double determinant = j_11 * c->J_22 - j_12 * j_12;
-    *theta_ddot = (c->J_22 * r_1 - j_12 * r_2) / determinant;
-    *delta_ddot = (j_11 * r_2 - j_12 * r_1) / determinant;
-}
-
 void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
               double pendulum_torque, double dx[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
     const double tau = inductance ? c->k_m * x[4] : c->k_m * (voltage - c->k_e * x[2]) / c->R_m;
     dx[0] = x[2];
     dx[1] = x[3];
-    accelerations(c, x[1], x[2], x[3], tau, pendulum_torque, &dx[2], &dx[3]);
+    pendulum_accelerations(&c->pendulum, x[1], x[2], x[3], tau, pendulum_torque, &dx[2], &dx[3]);
     dx[4] = inductance ? (voltage - c->R_m * x[4] - c->k_e * x[2]) / c->L_m : 0.0;
 }
 
@@ -58,34 +39,27 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
                         double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
                         double dvoltage, double dtorque, double out[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
+    const pendulum_coefficients *e = &c->pendulum;
     const double s = sin(x[1]), k = cos(x[1]), ds = k * dx[1], dk = -s * dx[1];
     const double v = x[2], w = x[3], dv = dx[2], dw = dx[3];
-    const double j_11 = c->J_11 + c->zeta_4 * s * s, dj_11 = 2.0 * c->zeta_4 * s * ds;
-    const double j_12 = -c->varpi_2 * k, dj_12 = -c->varpi_2 * dk;
-    const double sk = c->zeta_4 * s * k, dsk = c->zeta_4 * (ds * k + s * dk);
-    const double determinant = j_11 * c->J_22 - j_12 * j_12, ddeterminant = dj_11 * c->J_22 - 2.0 * j_12 * dj_12;
+    const double j_11 = e->J_11 + e->zeta_4 * s * s, dj_11 = 2.0 * e->zeta_4 * s * ds;
+    const double j_12 = -e->varpi_2 * k, dj_12 = -e->varpi_2 * dk;
+    const double sk = e->zeta_4 * s * k, dsk = e->zeta_4 * (ds * k + s * dk);
+    const double determinant = j_11 * e->J_22 - j_12 * j_12, ddeterminant = dj_11 * e->J_22 - 2.0 * j_12 * dj_12;
     /* M(q) q'' = r, so r follows from the accelerations */
     const double r_1 = j_11 * rate[2] + j_12 * rate[3];
-    const double r_2 = pendulum_torque + sk * v * v - c->D_p * w + c->gravity * s;
+    const double r_2 = pendulum_torque + sk * v * v - e->D_p * w + e->gravity * s;
     const double dtau = inductance ? c->k_m * dx[4] : c->k_m * (dvoltage - c->k_e * dv) / c->R_m;
-    const double slow = fabs(v) + FRICTION_SPEED, slope = c->D_r + c->T_r * FRICTION_SPEED / (slow * slow);
+    const double slow = fabs(v) + PENDULUM_FRICTION_SPEED, slope = e->D_r + e->T_r * PENDULUM_FRICTION_SPEED / (slow * slow);
     const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + slope) * dv
-        - c->varpi_2 * (ds * w * w + 2.0 * s * w * dw);
-    const double dr_2 = dtorque + dsk * v * v + 2.0 * sk * v * dv - c->D_p * dw + c->gravity * ds;
+        - e->varpi_2 * (ds * w * w + 2.0 * s * w * dw);
+    const double dr_2 = dtorque + dsk * v * v + 2.0 * sk * v * dv - e->D_p * dw + e->gravity * ds;
     out[0] = dv;
     out[1] = dw;
-    out[2] = (c->J_22 * dr_1 - j_12 * dr_2 - dj_12 * r_2 - rate[2] * ddeterminant) / determinant;
+    out[2] = (e->J_22 * dr_1 - j_12 * dr_2 - dj_12 * r_2 - rate[2] * ddeterminant) / determinant;
     out[3] = (j_11 * dr_2 + dj_11 * r_2 - j_12 * dr_1 - dj_12 * r_1 - rate[3] * ddeterminant) / determinant;
     out[4] = inductance ? (dvoltage - c->R_m * dx[4] - c->k_e * dv) / c->L_m : 0.0;
-}
-
-double qube_energy(const qube_coefficients *c, double delta, double theta_dot, double delta_dot)
-{
-    const double s = sin(delta), k = cos(delta);
-    double kinetic = 0.5 * (c->J_11 + c->zeta_4 * s * s) * theta_dot * theta_dot;
-    kinetic += 0.5 * c->J_22 * delta_dot * delta_dot - c->varpi_2 * k * theta_dot * delta_dot;
-    return kinetic + c->gravity * (k - 1.0);
 }
 
 /* SplitMix64 (Steele, Lea and Flood, OOPSLA 2014). */
@@ -135,19 +109,12 @@ static void append_measurement(const qube_params *p, qube_state *s)
     s->count++;
 }
 
-/* Whether the determinant of the inertia matrix upright, where it is smallest, is more than rounding. */
-static int is_regular(const qube_coefficients *c)
-{
-    const double diagonal = c->J_11 * c->J_22;
-    return diagonal - c->varpi_2 * c->varpi_2 > 1e-9 * diagonal;
-}
-
 qube_status qube_initialize(const qube_params *p, qube_state *s)
 {
     static const qube_state zero;
     const qube_coefficients c = qube_lump(p);
     qube_outputs y;
-    if (!is_regular(&c)) {
+    if (!pendulum_is_regular(&c.pendulum)) {
         return QUBE_SINGULAR;
     }
     *s = zero;
@@ -183,30 +150,20 @@ static double clamp(double value, double limit)
 
 static double flushed(double value)
 {
-    return fabs(value) > 0.0 && fabs(value) < LEAST ? 0.0 : value;
+    return fabs(value) > 0.0 && fabs(value) < QUBE_LEAST ? 0.0 : value;
 }
 
-/* One classical Runge-Kutta step of length h. */
-static void rk4_step(const qube_params *p, const qube_coefficients *c, double x[QUBE_STATES], double voltage,
-                     double tau_p, double h)
+/* A plant under held inputs. */
+typedef struct {
+    const qube_params *p;
+    const qube_coefficients *c;
+    double voltage, tau_p;
+} held_plant;
+
+static void held_rate(const void *model, const double x[QUBE_STATES], double dx[QUBE_STATES])
 {
-    double k1[QUBE_STATES], k2[QUBE_STATES], k3[QUBE_STATES], k4[QUBE_STATES], y[QUBE_STATES];
-    qube_rhs(p, c, x, voltage, tau_p, k1);
-    for (int i = 0; i < QUBE_STATES; i++) {
-        y[i] = x[i] + 0.5 * h * k1[i];
-    }
-    qube_rhs(p, c, y, voltage, tau_p, k2);
-    for (int i = 0; i < QUBE_STATES; i++) {
-        y[i] = x[i] + 0.5 * h * k2[i];
-    }
-    qube_rhs(p, c, y, voltage, tau_p, k3);
-    for (int i = 0; i < QUBE_STATES; i++) {
-        y[i] = x[i] + h * k3[i];
-    }
-    qube_rhs(p, c, y, voltage, tau_p, k4);
-    for (int i = 0; i < QUBE_STATES; i++) {
-        x[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i]);
-    }
+    const held_plant *plant = model;
+    qube_rhs(plant->p, plant->c, x, plant->voltage, plant->tau_p, dx);
 }
 
 /* The smallest number of equal substeps of `step` that are not longer than `largest`, up to rounding. */
@@ -224,8 +181,8 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
     if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
         return QUBE_INPUT_NOT_FINITE;
     }
-    if (p->motor_model == QUBE_MOTOR_INDUCTANCE) {
-        longest = fmin(longest, p->L_m / p->R_m / STEPS_PER_TIME_CONSTANT);
+    if (p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE) {
+        longest = fmin(longest, p->L_m / p->R_m / (double)QUBE_STEPS_PER_TIME_CONSTANT);
     }
     const double count = substeps(step, longest);
     if (count > (double)QUBE_MAX_SUBSTEPS) {
@@ -244,12 +201,13 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
     const double tau_p = flushed(u->pendulum_torque);
     const double h = step / count;
     const int steps = (int)fmin(count, (double)QUBE_MAX_SUBSTEPS);
+    const held_plant plant = {p, &c, voltage, tau_p};
     double x[QUBE_STATES], sum = 0.0;
     for (int i = 0; i < QUBE_STATES; i++) {
         x[i] = s->x[i];
     }
     for (int i = 0; i < steps; i++) {
-        rk4_step(p, &c, x, voltage, tau_p, h);
+        pendulum_rk4_step(held_rate, &plant, x, h);
     }
     for (int i = 0; i < QUBE_STATES; i++) {
         sum += x[i] * x[i]; /* as in the energy */
@@ -281,9 +239,9 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
     y->delta_dot = s->x[3];
     y->theta_encoder = s->delay_line[s->oldest][0];
     y->delta_encoder = s->delay_line[s->oldest][1];
-    y->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
+    y->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
     y->motor_torque = c.k_m * y->current;
-    y->energy = qube_energy(&c, y->delta, y->theta_dot, y->delta_dot);
+    y->energy = pendulum_energy(&c.pendulum, y->delta, y->theta_dot, y->delta_dot);
     y->theta_ddot = rate[2];
     y->delta_ddot = rate[3];
     y->current_dot = rate[4];
@@ -291,7 +249,7 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
 
 int qube_state_count(const qube_params *p)
 {
-    return p->motor_model == QUBE_MOTOR_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
+    return p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
 }
 
 qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
@@ -324,11 +282,11 @@ void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *
     dy->delta_dot = dx[3];
     dy->theta_encoder = seen * dx[0];
     dy->delta_encoder = seen * dx[1];
-    dy->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
+    dy->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
     dy->motor_torque = c.k_m * dy->current;
-    dy->energy = (c.zeta_4 * sine * cosine * v * v + c.varpi_2 * sine * v * w - c.gravity * sine) * dx[1]
-        + ((c.J_11 + c.zeta_4 * sine * sine) * v - c.varpi_2 * cosine * w) * dx[2]
-        + (c.J_22 * w - c.varpi_2 * cosine * v) * dx[3];
+    dy->energy = (c.pendulum.zeta_4 * sine * cosine * v * v + c.pendulum.varpi_2 * sine * v * w - c.pendulum.gravity * sine) * dx[1]
+        + ((c.pendulum.J_11 + c.pendulum.zeta_4 * sine * sine) * v - c.pendulum.varpi_2 * cosine * w) * dx[2]
+        + (c.pendulum.J_22 * w - c.pendulum.varpi_2 * cosine * v) * dx[3];
     dy->theta_ddot = drate[2];
     dy->delta_ddot = drate[3];
     dy->current_dot = drate[4];

@@ -1,9 +1,7 @@
 /* The QUBE-Servo 2 rotary pendulum with its motor and encoders: the C twin of plant_fmu (eq. (5) of D. Cruz-Ortiz et
  * al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems").
  *
- *     J(q) q'' + C(q, q') q' + w(q) = [tau, tau_p]',   q = [theta, delta]',   delta = 0 upright,
- *
- * zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r, and D_r + T_r/(|theta'| + v_s) in place of D_r. Pure functions of their arguments: no allocation, no globals, no
+ * The equation of motion is that of rotary_pendulum.h. Pure functions of their arguments: no allocation, no globals, no
  * input or output, every loop bounded. The order of operations is that of the Python twin.
  */
 #ifndef QUBE_SERVO2_H
@@ -11,10 +9,10 @@
 
 #include <stdint.h>
 
-enum { QUBE_STATES = 5, QUBE_MAX_DELAY = 1000, QUBE_MAX_SUBSTEPS = 1000000 };
+#include "qube_servo2_constants.h" /* generated from what Python has */
+#include "rotary_pendulum.h"
 
-/* Values of motor_model. */
-enum { QUBE_MOTOR_STATIC = 1, QUBE_MOTOR_INDUCTANCE = 2 };
+enum { QUBE_STATES = PENDULUM_MOST_STATES };
 
 /* What a call says of itself; every status but QUBE_OK leaves the state as it was. */
 typedef enum {
@@ -45,7 +43,7 @@ typedef struct {
     double L_m;                  /* rotor inductance of the motor [H] */
     double voltage_limit;        /* the amplifier saturates at plus and minus this voltage [V] */
     int back_emf;                /* whether the turning motor induces a voltage [Boolean] */
-    int motor_model;             /* QUBE_MOTOR_STATIC or QUBE_MOTOR_INDUCTANCE */
+    int motor_model;             /* QUBE_MOTOR_MODEL_STATIC or ..._INDUCTANCE */
     double theta_0;              /* initial angle of the arm [rad] */
     double delta_0;              /* initial angle of the pendulum [rad] */
     double theta_dot_0;          /* initial angular velocity of the arm [rad/s] */
@@ -93,20 +91,13 @@ typedef struct {
     double delay_line[QUBE_MAX_DELAY + 1][2];  /* measured theta, delta [rad] */
 } qube_state;
 
-/* The combinations of parameters that eq. (5) and the motor consist of. */
+/* What eq. (5) and the motor consist of. */
 typedef struct {
-    double J_11;    /* J_r + psi [kg.m2] */
-    double J_22;    /* J_p + zeta/4 [kg.m2] */
-    double zeta_4;  /* zeta/4 [kg.m2] */
-    double varpi_2; /* varpi/2 [kg.m2] */
-    double gravity; /* m_p g_p L_p/2 [N.m] */
-    double D_r;     /* [N.m.s/rad] */
-    double T_r;     /* [N.m] */
-    double D_p;     /* [N.m.s/rad] */
-    double k_m;     /* torque constant [N.m/A] */
-    double k_e;     /* k_m with back-EMF, 0 without [V.s/rad] */
-    double R_m;     /* [Ohm] */
-    double L_m;     /* [H] */
+    pendulum_coefficients pendulum;
+    double k_m; /* torque constant [N.m/A] */
+    double k_e; /* k_m with back-EMF, 0 without [V.s/rad] */
+    double R_m; /* [Ohm] */
+    double L_m; /* [H] */
 } qube_coefficients;
 
 qube_coefficients qube_lump(const qube_params *p);
@@ -114,9 +105,6 @@ qube_coefficients qube_lump(const qube_params *p);
 /* x' = f(x, V, tau_p), the first four entries for the static motor, all five with inductance (eq. (5), section III). */
 void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
               double pendulum_torque, double dx[QUBE_STATES]);
-
-/* q'J(q)q'/2 + m_p g_p L_p (cos delta - 1)/2 [J] */
-double qube_energy(const qube_coefficients *c, double delta, double theta_dot, double delta_dot);
 
 /* Set the initial state; QUBE_SINGULAR for constants that eq. (5) does not admit, QUBE_OUTPUT_NOT_FINITE for numbers
  * beyond reason. */

@@ -141,4 +141,4 @@ def test_online_part_needs_nothing_but_the_standard_library():
     found = subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:0] = {sys.path!r}; {script}"],
                            capture_output=True, text=True, check=True)  # fmt: skip
     names = set(found.stdout.strip("{}\n").replace("'", "").split(", "))
-    assert names == {"__main__", "ihc_fmu", "fmu_export"}
+    assert names == {"__main__", "ihc_fmu", "fmu_export", "rotary_pendulum"}

@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 from ihc_fmu.pendulum.nominal_model import accelerations, nominal_model, predict, voltage_for
 from ihc_fmu.pendulum.start_values import nominal_values
 from plant_fmu import dynamics
-from plant_fmu.integrator import rk4_step
 from plant_fmu.parameters import PARAMETER_SETS, parameter_set
+from rotary_pendulum.runge_kutta import rk4_step
 
 SETS = list(PARAMETER_SETS)
 
@@ -22,8 +22,8 @@ def model(name="ident"):
 
 
 def plant_derivative(name, voltage):
-    c = dynamics.coefficients(parameter_set(name).parameters)
-    return partial(dynamics.derivative_static, c, voltage=voltage, tau_p=0.0)
+    p = parameter_set(name).parameters
+    return partial(dynamics.derivative_static, p.coefficients, dynamics.motor(p), voltage=voltage, tau_p=0.0)
 
 
 def random_states(count=30):

@@ -11,7 +11,7 @@ from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
 from ihc_fmu.synthesis import inverse_design
 from ihc_fmu.system import System
 from plant_fmu.parameters import PARAMETER_SETS
-from tests.ihc_fmu.conftest import chain, chain_gain
+from tests.ihc_fmu.conftest import chain_gain, chain_of
 
 # x' P x of the same controller with |k x| <= 10 V on the unit ball, an independent solution of the inequalities
 P_UMAX_10 = np.array(
@@ -39,16 +39,18 @@ def test_every_value_is_a_parameter_of_the_interface_within_its_rule(start_value
 
 def test_matrices_and_gains_arrive_entry_by_entry(design, start_values, controller):
     """Read back by name, and as the unit assembles them: in chain coordinates they are the design's."""
-    np.testing.assert_array_equal(np.reshape([start_values[n] for n in matrix("Phi")], (4, 4)), chain(design).Phi)
+    np.testing.assert_array_equal(np.reshape([start_values[n] for n in matrix("Phi")], (4, 4)), chain_of(design).Phi)
     P = np.zeros((4, 4))
     P[np.triu_indices(4)] = [start_values[n] for n in upper_triangle("P")]
     np.testing.assert_array_equal(P + np.triu(P, 1).T, design.P)
-    for name, expected in (("k_lin", design.k_lin), ("row", chain(design).row)):
+    for name, expected in (("k_lin", design.k_lin), ("row", chain_of(design).row)):
         assert [start_values[n] for n in vector(name)] == expected.tolist()
     unit = controller()
     np.testing.assert_allclose(unit.design.Kz[0], chain_gain(design), rtol=1e-10)
-    np.testing.assert_allclose(chain(design).Phi.T @ unit.design.K_0z[0], -chain(design).row, atol=1e-12)
-    np.testing.assert_allclose(chain(design).Phi.T @ np.array(unit.design.Pz) @ chain(design).Phi, design.P, rtol=1e-9)
+    np.testing.assert_allclose(chain_of(design).Phi.T @ unit.design.K_0z[0], -chain_of(design).row, atol=1e-12)
+    np.testing.assert_allclose(
+        chain_of(design).Phi.T @ np.array(unit.design.Pz) @ chain_of(design).Phi, design.P, rtol=1e-9
+    )
     assert unit.mu == 1.0
 
 

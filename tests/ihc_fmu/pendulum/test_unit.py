@@ -13,7 +13,7 @@ from ihc_fmu.pendulum.interface import INTERFACE
 from ihc_fmu.pendulum.supervisor import Mode
 from ihc_fmu.sampled_unit import Fault
 from ihc_fmu.sliding_mode import fitted_smc
-from tests.ihc_fmu.conftest import chain
+from tests.ihc_fmu.conftest import chain_of
 
 OUTPUTS = [v.name for v in INTERFACE.of("output")]
 STATE_INPUT = {"velocity_source": "inputs"}
@@ -60,9 +60,14 @@ def recorded(controller, closed_loop):
 def test_commands_are_those_of_the_laws_for_the_measured_state(controller, design, delta):
     """Each law with its norm solver and discretization, against the library functions at one sample."""
     x: Any = np.array([0.1, delta, -0.3, 0.5])
-    form, P = chain(design), design.P.tolist()
-    z = form.Phi @ x
-    law = laws.chain_design(form.Phi.tolist(), form.row.tolist(), design.k_lin.tolist(), P, design.mu)
+    z = chain_of(design).Phi @ x
+    law = laws.chain_design(
+        chain_of(design).Phi.tolist(),
+        chain_of(design).row.tolist(),
+        design.k_lin.tolist(),
+        design.P.tolist(),
+        design.mu,
+    )
     c = homogeneity.norm_polynomial(law.Pz, z.tolist(), law.exponents, 1.0)
     exact = min(2.0, max(0.1, homogeneity.homogeneous_norm(c, 1.0)))
     _, estimate = homogeneity.bisection_update(c, 1.0, (0.1, 2.0), 0.1, 2.0, 3)
@@ -384,8 +389,8 @@ def test_norm_at_capture_is_that_of_the_state_in_the_law(controller, closed_loop
     k = np.flatnonzero(run["mode"] == Mode.STABILIZING)[0]
     delta = math.remainder(run["delta_encoder"][k], math.tau)
     x: Any = [run["theta_encoder"][k], delta, run["theta_dot_estimate"][k], run["delta_dot_estimate"][k]]
-    Pz = homogeneity.to_blocks(chain(design).Phi.tolist(), design.P.tolist())
-    c = homogeneity.norm_polynomial(Pz, (chain(design).Phi @ x).tolist(), homogeneity.chain(4), 1.0)
+    Pz = homogeneity.to_blocks(chain_of(design).Phi.tolist(), design.P.tolist())
+    c = homogeneity.norm_polynomial(Pz, (chain_of(design).Phi @ x).tolist(), homogeneity.chain(4), 1.0)
     expected = homogeneity.homogeneous_norm(c, 1.0)
     assert run["homogeneous_norm_used"][k] == pytest.approx(expected, rel=1e-9)
 

@@ -19,7 +19,7 @@ from ihc_fmu.regulator.start_values import Regulator, set_point_matrices
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit, Mode
 from ihc_fmu.sampled_unit import Fault
 from tests.ihc_fmu.blocks import exponents_of, random_system
-from tests.ihc_fmu.conftest import chain
+from tests.ihc_fmu.conftest import chain_of
 from tests.ihc_fmu.regulator.conftest import OUTPUT_NAMES, H, names, random_regulator, row
 
 DATA = Path(__file__).parent.parent / "data" / "hcs_general_reference.json"
@@ -118,11 +118,11 @@ def test_with_the_pendulums_design_it_commands_what_the_pendulums_controller_doe
     regulator = Regulator(
         shape=shape,
         exponents=[3, 2, 1, 0],
-        T=chain(design).Phi,
+        T=chain_of(design).Phi,
         N=np.eye(4, k=1),
         B=np.eye(4)[:, 3:],
-        K_0=-chain(design).row[None],
-        K=design.K,
+        K_0=-chain_of(design).row[None],
+        K=design.k_lin[None],
         P=design.P,
         mu=design.mu,
         sample_time=H,

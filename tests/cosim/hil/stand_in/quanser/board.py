@@ -237,7 +237,7 @@ class Board:
         if self.plant.inductance:
             return -self.plant.x[4]
         voltage = max(-VOLTAGE_RANGE, min(VOLTAGE_RANGE, -self.ao0))
-        amperes = -static_current(self.plant.coefficients, voltage, self.plant.x[2])
+        amperes = -static_current(self.plant.motor, voltage, self.plant.x[2])
         return max(-CURRENT_RANGE, min(CURRENT_RANGE, amperes))
 
     def digital_input(self, channel: int) -> int:

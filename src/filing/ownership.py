@@ -8,17 +8,13 @@ its heading.
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
-from .errors import UserError
+from fmu_export.archive import made_by
+from fmu_export.errors import UserError
 
-SOFTWARE = "qube-ihc"
-"""What files of a kind with a place for the software's name have there."""
-
-WRITTEN = f"written by {SOFTWARE}"
-"""What text files have in a comment at their beginning."""
+from .origin import SOFTWARE, WRITTEN
 
 _HEAD = 1024
 _INSTANCES = ("controller.", "plant.", "hil.")
@@ -85,12 +81,7 @@ def _is_table(path: Path) -> bool:
 
 
 def _is_archive(path: Path) -> bool:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            inside = [name for name in ("modelDescription.xml", "SystemStructure.ssd") if name in archive.namelist()]
-            return any(SOFTWARE.encode() in archive.open(name).read(4 * _HEAD) for name in inside)
-    except (zipfile.BadZipFile, NotImplementedError, EOFError):
-        return False
+    return made_by(path, SOFTWARE)
 
 
 def _says(text: str) -> Callable[[Path], bool]:

@@ -1,0 +1,1 @@
+"""How the files of this project say whose they are, and how they are written."""
