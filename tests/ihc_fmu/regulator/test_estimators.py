@@ -18,9 +18,9 @@ H = 1e-3
 
 def coordinates(G_0):
     """Return T and e with G_0 = (T^-1 diag(e) T)', e falling."""
-    values, V = np.linalg.eig(np.array(G_0).T)
-    order = np.argsort(-values.real)
-    return np.linalg.inv(V[:, order].real), np.rint(values.real[order]).astype(int)
+    values, V = map(np.real, np.linalg.eig(np.array(G_0).T))
+    order = np.argsort(-values)
+    return np.linalg.inv(V[:, order]), np.rint(values[order]).astype(int)
 
 
 def observer(A, B, C, T, e, L_0, L, nu, limits=(1e-9, 1e9)) -> Any:
