@@ -199,12 +199,13 @@ class Journal:
         """Return what the job's numbers are kept under: a hash of purpose, code, versions, scenario, FMUs and files."""
         about = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
         about.update(job.scenario.model_dump_json().encode())
-        plant, controller, design = files(job.scenario, fmus, job.folder)
-        for fmu in (plant, controller):
+        used = files(job.scenario, fmus, job.folder)
+        for fmu in used.fmus.values():
             about.update(str(describe(fmu)[1].guid).encode())
         parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
-        for what, file in (("design", design), ("parameter", parameters)):
-            about.update(b"" if file is None else read_bytes(file, what))
+        others = [("design", used.design), ("parameter", parameters), *(("signal", t) for t in used.tables.values())]
+        for what, file in others:
+            about.update(b"" if file is None else hashlib.sha256(read_bytes(file, what)).digest())
         return about.hexdigest()[:32]
 
     @contextmanager
@@ -283,7 +284,7 @@ def _scipy() -> str:
 
 
 def counted(numbers: Numbers, name: str) -> float:
-    """Return a number by which draws are compared: infinite where it is NaN or missing, or the pendulum fell."""
+    """Return a number by which draws are compared: infinite where it is NaN or missing, or the law lost the plant."""
     value = numbers.get(name, math.nan) if numbers.get("kept") else math.nan
     return math.inf if math.isnan(value) else value
 

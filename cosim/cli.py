@@ -10,6 +10,7 @@ import secrets
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
@@ -41,12 +42,13 @@ from .display import (
 from .errors import Interrupted, SimulationError, UserError
 from .export import EXPORTED, Kind, Smc, export_units
 from .hil import commands as hil_commands
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, varied
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
     from .results import Result
+    from .scenario import Scenario
 
 FAILED, USAGE, FAULT, CTRL_C = 1, 2, 70, 130
 """Exit codes; 70 is EX_SOFTWARE of sysexits.h."""
@@ -284,6 +286,43 @@ def _load_design(path: Path) -> Design:
     return Design.load(path)
 
 
+def _loaded(name: str, fmus: Path) -> tuple[Scenario, Path, Path]:
+    """Return (scenario, its folder, the folder of its FMUs): an SSP file has its own."""
+    from .scenario import load_scenario
+    from .ssp import SUFFIX
+
+    chosen, folder = load_scenario(name)
+    return chosen, folder, folder if Path(name).suffix == SUFFIX else fmus
+
+
+@app.command()
+def ssp(
+    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write; none: `NAME.ssp`.")] = None,
+    fmus: FmusOption = Path("fmus"),
+    change: SetOption = None,
+) -> None:
+    """Write a scenario as one SSP file: FMUs, wires, start values, step and duration; `run` runs it, other tools too.
+
+    Signals and disturbances have no place in it.
+    """
+    from .master import Coupling
+    from .scenario import build_system
+    from .ssp import SUFFIX, write
+
+    chosen, folder, fmus = _loaded(scenario, fmus)
+    chosen = chosen.changed(dict(assignments(change)))
+    path = output or Path(f"{chosen.name}{SUFFIX}")
+    if path.suffix != SUFFIX:
+        raise UserError(f"--output must name a {SUFFIX} file, found {path}")
+    system = build_system(chosen, fmus, folder)
+    start = Coupling(system).start
+    system = replace(system, components=[replace(c, start=start[c.name]) for c in system.components])
+    say_notes(f"an SSP has no signals: {s.target} keeps its start value there" for s in system.signals)
+    written = write(path, chosen.name, system, chosen.run.duration, chosen.run.step)
+    console.print(f"wrote {escaped(written)}")
+
+
 @app.command()
 def run(
     scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
@@ -304,10 +343,10 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from .metrics import can_evaluate
-    from .scenario import build_system, load_scenario, remarks, run_scenario
+    from .metrics import can_draw, can_evaluate
+    from .scenario import build_system, remarks, run_scenario
 
-    chosen, folder = load_scenario(scenario)
+    chosen, folder, fmus = _loaded(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
     chosen = chosen.changed(changes)
     path = output or Path("results") / f"{chosen.name}.csv"
@@ -347,7 +386,7 @@ def run(
         console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
     warn_of_messages(result)
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
-    if plot and can_evaluate(result) and "controller.homogeneous_norm" in result.signals:
+    if plot and can_evaluate(result) and can_draw(result):
         from .plots import save_overview
 
         picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
@@ -378,12 +417,25 @@ def compare(
         list[str],
         typer.Argument(help=f"{SCENARIO_HELP} Or results of `run` or `hil` (*.csv)."),
     ],
-    laws: Annotated[str, typer.Option(help="Laws to compare, separated by commas.")] = "LC,SMC,IHC",
+    laws: Annotated[
+        str | None,
+        typer.Option(
+            help="Laws to compare, separated by commas; none: those of LC, SMC and IHC that the controller has."
+        ),
+    ] = None,
+    vary: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ENTRY=VALUE,...",
+            help="Compare values of another entry of the scenario than the law, e.g. `controller.start.a_min=0.2,0.5,1`.",
+        ),
+    ] = None,
     draws: Annotated[
         int,
         typer.Option(
             min=0,
-            help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once.",
+            help="Encoder offsets, the same for all laws: a Sobol set, best a power of two; 0: the scenario's, once. "
+            "A plant without encoders is run once.",
         ),
     ] = 128,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
@@ -397,23 +449,30 @@ def compare(
 
     Given results of `run` or `hil` instead, show them side by side.
     """
-    from .experiments import LAWS, Study
-    from .scenario import build_system, load_scenario, remarks
+    from .experiments import LAW, LAWS, Study, check_names, laws_of
+    from .scenario import build_system, remarks
 
-    chosen_laws = [law.strip() for law in laws.split(",")]
-    unknown = [law for law in chosen_laws if law not in LAWS]
-    if unknown or len(set(chosen_laws)) != len(chosen_laws):
-        raise UserError(f"--laws must be different ones of {', '.join(LAWS)}, found {laws!r}")
+    if laws is not None and vary is not None:
+        raise UserError("compare takes --laws or --vary, not both")
     if all(name.endswith(".csv") for name in scenario):
         _compare_results([Path(name) for name in scenario], output / "compared")
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
-    chosen, folder = load_scenario(scenario[0])
+    chosen, folder, fmus = _loaded(scenario[0], fmus)
     chosen = chosen.changed(dict(assignments(change)))
+    if vary is not None:
+        entry, values = varied(vary)
+        names = list(values)
+    else:
+        entry, values, known = LAW, None, laws_of(chosen, fmus, folder)
+        names = [name for name in known if name in LAWS] if laws is None else [law.strip() for law in laws.split(",")]
+        if not names or not set(names) <= set(known) or len(set(names)) < len(names):
+            raise UserError(f"--laws must be different ones of {', '.join(known)}, found {laws or ', '.join(names)!r}")
+    check_names(names)
     say_notes(remarks(build_system(chosen, fmus, folder)))
-    _check_folder(output / chosen.name, chosen_laws)
-    _compare([Study(chosen, folder, draws)], fmus, output, chosen_laws, workers)
+    _check_folder(output / chosen.name, names)
+    _compare([Study(chosen, folder, draws, entry, values)], fmus, output, names, workers)
 
 
 def _check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
@@ -471,23 +530,30 @@ def _compare(studies: list[Any], fmus: Path, output: Path, laws: list[str], work
 def tune(
     scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
     measure: Annotated[
-        str,
-        typer.Option(help="What to make small: integral_q2, steady_rms, settling_time, energy or voltage_variation."),
-    ] = "integral_q2",
+        str | None,
+        typer.Option(
+            help="Metric to make small; of the pendulum integral_q2, steady_rms, settling_time, energy or "
+            "voltage_variation; none: the integral of the squared error."
+        ),
+    ] = None,
     most_chattering: Annotated[
-        float | None, typer.Option(help="Largest voltage variation per second, relative to the LC's; none: no limit.")
+        float | None, typer.Option(help="Largest variation of the controls, relative to the LC's; none: no limit.")
     ] = None,
     a_min: Annotated[str | None, typer.Option(help="Values of a_min, separated by commas; none: 1 to 0.1.")] = None,
     b_max: Annotated[str | None, typer.Option(help="Values of b_max; none: 1, 1.25, 1.6, 2.")] = None,
     u_max: Annotated[
-        str | None, typer.Option(help="Scales of P, |k x| on the unit ball [V]; none: 1.5, 3, 10.")
+        str | None, typer.Option(help="Scales of the pendulum's P, |k x| on the unit ball [V]; none: 1.5, 3, 10.")
     ] = None,
-    mu: Annotated[str | None, typer.Option(help="Values of mu; none: 0.5, 1.")] = None,
+    mu: Annotated[str | None, typer.Option(help="Values of the pendulum's mu; none: 0.5, 1.")] = None,
     draws: Annotated[
         int, typer.Option(min=1, help="Encoder offsets and noise, the same for each point; best a power of two.")
     ] = 16,
     design: Annotated[
-        Path | None, typer.Option(help="Design file with your A, b, k_lin and alpha; none: the default design.")
+        Path | None,
+        typer.Option(
+            help="The pendulum's design file with your A, b, k_lin and alpha; none: the default design. Another "
+            "controller keeps the design that it was exported with."
+        ),
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
     output: Annotated[
@@ -496,7 +562,7 @@ def tune(
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
 ) -> None:
-    """Tune a_min, b_max, the scale of P and mu as the paper says: from the LC on, as long as the measure improves.
+    """Tune a_min and b_max, of the pendulum the scale of P and mu too: from the LC on, as long as the measure improves.
 
     Writes all points as a table and a picture, and the best as a scenario and a design. Finished runs are kept: the same
     command, or one with more values, goes on from there.
@@ -504,18 +570,23 @@ def tune(
     from ihc_fmu.pendulum.start_values import default_design
 
     from .campaign import Journal
-    from .scenario import load_scenario
+    from .pendulum import is_controller
+    from .scenario import controller_values
     from .tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from .tuning import tune as run_tuning
 
-    chosen, folder = load_scenario(scenario)
+    chosen, folder, fmus = _loaded(scenario, fmus)
     chosen = chosen.changed(dict(assignments(change)))
     given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
     grid = Grid(
         **{name: _numbers(f"--{name.replace('_', '-')}", text) for name, text in given.items() if text is not None}
     )
     limit = math.inf if most_chattering is None else most_chattering
-    found = default_design() if design is None else _load_design(design)
+    found = None if design is None else _load_design(design)
+    if found is None and is_controller(controller_values(chosen, fmus, folder)):
+        found = default_design()
+    if found is None and (u_max is not None or mu is not None):
+        raise UserError("--u-max and --mu are for the pendulum's controller; another keeps those of its design")
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
@@ -552,8 +623,6 @@ def paper(
 
     Interrupt it at any time: finished runs are kept, and the same command goes on from there.
     """
-    from dataclasses import replace
-
     from ihc_fmu.pendulum.start_values import default_design
 
     from .paper.report import make

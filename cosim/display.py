@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .metrics import Quantity
     from .paper.claims import Claim
     from .results import Result
-    from .tuning import Tuning
+    from .tuning import Outcome, Tuning
 
 console = Console(emoji=False)
 problems = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
@@ -122,18 +122,18 @@ def print_metrics(result: Result) -> None:
     """Print the metrics of a result, one a line."""
     from rich.cells import cell_len
 
-    from .metrics import QUANTITIES, evaluate, unsteady
+    from .metrics import evaluate, unsteady
 
     metrics = evaluate(result)
     why = unsteady(metrics)
-    widest = max(cell_len(q.symbol) for q in QUANTITIES.values())
-    for name, q in QUANTITIES.items():
-        value = getattr(metrics, name)
+    widest = max(cell_len(q.symbol) for q in metrics.quantities.values())
+    for name, q in metrics.quantities.items():
+        value = metrics.values[name]
         unit = "" if math.isnan(value) else q.unit
         cell = f"{q.text(value)} {unit}".rstrip() + _mark(q, metrics.steady, value)
-        console.print(f"  {q.symbol}{' ' * (widest - cell_len(q.symbol))}  {escaped(cell)}")
+        console.print(f"  {escaped(q.symbol)}{' ' * (widest - cell_len(q.symbol))}  {escaped(cell)}")
     if why:
-        console.print(f"  * {why}")
+        console.print(f"  * {escaped(why)}")
 
 
 def _mark(q: Quantity, steady: bool, value: float) -> str:
@@ -142,13 +142,18 @@ def _mark(q: Quantity, steady: bool, value: float) -> str:
 
 
 def print_results(results: Mapping[str, Result]) -> None:
-    """Print the metrics of several results side by side."""
-    from .metrics import QUANTITIES, evaluate, unsteady
+    """Print the metrics of several results side by side; raise UserError where they are judged by different signals."""
+    from .errors import UserError
+    from .metrics import evaluate, unsteady
 
     metrics = {name: evaluate(result) for name, result in results.items()}
+    quantities = next(iter(metrics.values())).quantities
+    other = next((name for name, m in metrics.items() if m.quantities != quantities), None)
+    if other is not None:
+        raise UserError(f"results side by side must be judged by the same signals, and {other} is judged by others")
     rows = [
-        [q.heading, *(q.text(getattr(m, q.name)) + _mark(q, m.steady, getattr(m, q.name)) for m in metrics.values())]
-        for q in QUANTITIES.values()
+        [q.heading, *(q.text(m.values[q.name]) + _mark(q, m.steady, m.values[q.name]) for m in metrics.values())]
+        for q in quantities.values()
     ]
     show_table("results", ["", *results], rows)
     for name, m in metrics.items():
@@ -192,30 +197,27 @@ VERDICTS = {1: "worse", 0: "open", -1: "better"}
 
 
 def comparison_rows(comparison: Comparison) -> list[list[str]]:
-    """Return a row for each metric with a cell for each law, and one for the pendulums kept upright."""
-    from .experiments import SHOWN
-    from .metrics import QUANTITIES
+    """Return a row for each metric with a cell for each law, and one for the draws in which the law acted to the end."""
+    from .metrics import is_pendulum
 
     rows = []
-    for q in (QUANTITIES[name] for name in SHOWN):
+    for q in (comparison.quantities[name] for name in comparison.shown):
         cells = []
         for law in comparison.of_law:
             value = comparison.value(law, q.name)
             cells.append(estimate_text(value, q.text) + _mark(q, comparison.steady(law), value.value))
         rows.append([q.heading, *cells])
     kept = (f"{comparison.kept(law)} of {comparison.count}" for law in comparison.of_law)
-    return [*rows, ["kept upright", *kept]]
+    return [*rows, ["kept upright" if is_pendulum(comparison.quantities) else "acting to the end", *kept]]
 
 
 def change_rows(comparison: Comparison) -> list[list[str]]:
     """Return a row for each metric with each other law's change over the first one's."""
-    from .experiments import SHOWN
-    from .metrics import QUANTITIES
-
     base, *others = comparison.of_law
-    names = [name for name in SHOWN if name != "capture_time"]
+    quantities = comparison.quantities
+    names = [name for name in comparison.shown if quantities[name].role != "capture"]
     return [
-        [QUANTITIES[name].symbol, *(change_text(comparison.change(law, base, name)) for law in others)]
+        [quantities[name].symbol, *(change_text(comparison.change(law, base, name)) for law in others)]
         for name in names
     ]
 
@@ -309,23 +311,26 @@ def _unit(unit: str) -> str:
 
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
-    from .metrics import QUANTITIES
+    from .metrics import is_pendulum
 
-    q, linear = QUANTITIES[tuning.measure], tuning.linear
-    many = linear.draws > 1
-    drawn = f", {linear.draws} draws; ± 95 % interval" if many else ""
-    title = f"{q.heading}: where the paper's rule stops, for each mu and scale of P{drawn}"
-    variation = QUANTITIES["voltage_variation"].heading
-    headings = ("mu", "u_max [V]", "a_min", "b_max", q.symbol, "over LC", variation, "upright")
-    rows = [
-        ["LC", "", "", "", f"{linear.measure:.4g}", "", f"{linear.chattering:.4g}", f"{linear.kept}/{linear.draws}"]
-    ]
+    q, linear, variation = tuning.quantities[tuning.measure], tuning.linear, tuning.chattering
+    drawn = f", {linear.draws} draws; ± 95 % interval" if linear.draws > 1 else ""
+    families = any(point.mu is not None for point in tuning.stops)
+    title = f"{q.heading}: where the paper's rule stops{', for each mu and scale of P' if families else ''}{drawn}"
+    kept = "upright" if is_pendulum(tuning.quantities) else "acting"
+    first = ("mu", "u_max [V]") if families else ("",)
+    chattering = [] if variation is None else [variation.heading]
+    headings = (*first, "a_min", "b_max", q.symbol, "over LC", *chattering, kept)
+
+    def row(names: Sequence[str], over: str, o: Outcome) -> list[str]:
+        shown = [] if variation is None else [f"{o.chattering:.4g}"]
+        return [*names, f"{o.measure:.4g}", over, *shown, f"{o.kept}/{o.draws}"]
+
+    rows = [row(["LC", *[""] * (len(first) + 1)], "", linear)]
     for point in tuning.stops:
         o = tuning.outcomes[point]
-        change = change_text(o.over_linear)
-        rows.append(
-            [*(f"{v:g}" for v in point), f"{o.measure:.4g}", change, f"{o.chattering:.4g}", f"{o.kept}/{o.draws}"]
-        )
+        named = [f"{v:g}" for v in point if v is not None]
+        rows.append(row(named if families else ["IHC", *named], change_text(o.over_linear), o))
     best = [number for number, point in enumerate(tuning.stops, start=1) if point == tuning.best.point]
     show_table(title, headings, rows, bold=best)
     lowest = min(point.a_min for point in tuning.outcomes)

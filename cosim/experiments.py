@@ -1,12 +1,14 @@
-"""The comparison of the three laws in a scenario, over draws of the encoders' offsets."""
+"""The comparison of the laws of a controller, or of other choices, in a scenario, over draws of what is left to chance."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import io
 import json
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,17 +20,20 @@ from fmu_export.errors import UserError
 from fmu_export.reading import read_json
 
 from .campaign import Job, run_all
-from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square
+from .draws import PENDULUM, Chance, Estimate, chance_of, change, drawn, mean, rms_change, root_mean_square
+from .fmu import Instance
 from .master import Coupling
-from .metrics import NAMES, QUANTITIES, WINDOW, ZERO, Metrics, evaluate, kept_upright, missing_signals
+from .metrics import WINDOW, Metrics, Quantity, evaluate, is_pendulum, kept_upright, measure_of, missing_signals
+from .names import is_plain
 from .results import Result
-from .scenario import Scenario, build_system, run_scenario
+from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario
+from .wiring import CONTROLLER
 
 LAWS = ("LC", "SMC", "IHC")
+"""Names of laws, in the order of tables."""
+LAW = "controller.start.law"
+"""The entry that a comparison varies unless it is told another."""
 ABOUT = "comparison.json"
-
-SHOWN = tuple(name for name in NAMES if name not in ("steady_trend", "captures"))
-"""The metrics of which a comparison states means."""
 
 UNSTEADY = 0.25
 """Share of draws without a steady state above which a mean over the window is flagged; single runs are wrongly so in a few
@@ -40,7 +45,7 @@ FORMAT = "qube-ihc comparison 1"
 @dataclass(frozen=True)
 class Draw:
     """One run of a comparison: its law, the draw's number (None: the scenario as it stands), whether the law took over once
-    and kept the pendulum upright, the metrics.
+    and acted to the end, the metrics.
     """
 
     law: str
@@ -60,6 +65,17 @@ class Comparison:
     scenario: Scenario
     draws: tuple[Draw, ...]
     results: dict[str, Result]
+    chance: Chance = PENDULUM
+
+    @property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """The system's metrics by name."""
+        return self.draws[0].metrics.quantities
+
+    @property
+    def shown(self) -> list[str]:
+        """The names of the metrics of which means are stated."""
+        return [name for name, q in self.quantities.items() if q.role not in ("trend", "captures")]
 
     @cached_property
     def of_law(self) -> dict[str, dict[int | None, Draw]]:
@@ -75,17 +91,17 @@ class Comparison:
         return len(self.draws) // len(self.of_law)
 
     def counted(self, law: str) -> list[Draw]:
-        """Return the draws that the means are over: those in which the law kept the pendulum upright, all if in none."""
+        """Return the draws that the means are over: those in which the law acted to the end, all if in none."""
         draws = list(self.of_law[law].values())
         return [d for d in draws if d.kept] or draws
 
     def kept(self, law: str) -> int:
-        """Return in how many draws the law kept the pendulum upright."""
+        """Return in how many draws the law took over once and acted to the end."""
         return sum(d.kept for d in self.of_law[law].values())
 
     def never(self, law: str, name: str) -> int:
-        """Return how many of the counted draws do not have the metric: they never settled."""
-        return sum(math.isnan(getattr(d.metrics, name)) for d in self.counted(law))
+        """Return how many of the counted draws do not have the metric: a time of settling, for one."""
+        return sum(math.isnan(d.metrics.values[name]) for d in self.counted(law))
 
     def steady(self, law: str) -> bool:
         """Return whether the window at the end is a steady state, in at least three quarters of the counted draws."""
@@ -101,27 +117,32 @@ class Comparison:
         if self.never(law, name) == len(draws):
             return Estimate(math.nan)
         values = np.array([self._number(d, name) for d in draws])
-        return root_mean_square(values) if QUANTITIES[name].over_draws == "rms" else mean(values)
+        return root_mean_square(values) if self.quantities[name].over_draws == "rms" else mean(values)
 
     def change(self, law: str, base: str, name: str) -> Estimate:
         """Return by which part the metric's mean with `law` lies above that with `base`, over the draws that both count.
 
         NaN where there is no such draw, one of them has no value at all, or no steady state to compare: none, or zero.
         """
-        quantity = QUANTITIES[name]
+        quantity = self.quantities[name]
         numbers = [{d.number: self._number(d, name) for d in self.counted(one)} for one in (law, base)]
         both = [n for n in numbers[0] if n in numbers[1]]
         none = any(self.never(one, name) == len(self.counted(one)) for one in (law, base))
         if none or (quantity.of_window and not (self.steady(law) and self.steady(base))):
             return Estimate(math.nan)
         values, bases = (np.array([of[n] for n in both]) for of in numbers)
-        if name == "steady_rms" and max(np.max(values, initial=0.0), np.max(bases, initial=0.0)) < ZERO:
+        if quantity.role == "rms" and max(np.max(values, initial=0.0), np.max(bases, initial=0.0)) < quantity.zero:
             return Estimate(math.nan)
         return rms_change(values, bases) if quantity.over_draws == "rms" else change(values, bases)
 
     def _number(self, draw: Draw, name: str) -> float:
-        value = float(getattr(draw.metrics, name))
-        return self.scenario.run.duration if math.isnan(value) and QUANTITIES[name].never else value
+        value = float(draw.metrics.values[name])
+        return self.scenario.run.duration if math.isnan(value) and self.quantities[name].never else value
+
+    def unsettled(self, law: str) -> int:
+        """Return in how many of the counted draws something never settled."""
+        names = [q.name for q in self.quantities.values() if q.role == "settling"]
+        return sum(any(math.isnan(d.metrics.values[name]) for name in names) for d in self.counted(law))
 
     def remarks(self) -> list[str]:
         """Return what has to be known to read the means."""
@@ -130,18 +151,27 @@ class Comparison:
         lost = {law: self.count - self.kept(law) for law in laws}
         if any(lost.values()):
             several = ", ".join(f"{law} {n}" for law, n in lost.items())
-            said.append(f"pendulum lost, and not in the means unless in all draws: {several} of {self.count}")
-        late = {law: self.never(law, "settling_time") for law in laws}
+            what = "pendulum lost" if is_pendulum(self.quantities) else "law not acting to the end"
+            said.append(f"{what}, and not in the means unless in all draws: {several} of {self.count}")
+        if not self.chance:
+            said.append(
+                "nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all"
+            )
+        late = {law: self.unsettled(law) for law in laws}
         if self.count > 1 and any(late.values()):
             several = ", ".join(f"{law} {n}" for law, n in late.items())
             said.append(f"never settled, counted as {self.scenario.run.duration:g} s: {several} of {self.count}")
         loose = [law for law in laws if not self.steady(law)]
         if loose:
             said.append(
-                f"* not steady: |q| of {', '.join(loose)} has a trend over the last {WINDOW:g} s, or the run is shorter; "
-                "make run.duration longer"
+                f"* not steady: {self._norm} of {', '.join(loose)} has a trend over the last {WINDOW:g} s, or the run is "
+                "shorter; make run.duration longer"
             )
         return said
+
+    @property
+    def _norm(self) -> str:
+        return measure_of(self.quantities, "rms").symbol.removeprefix("steady RMS ")
 
     def save(self, folder: Path, pictures: Callable[[Path], object] | None = None) -> None:
         """Write each law's result, all draws as comparison.csv, what `pictures` writes to a folder, and comparison.json.
@@ -163,12 +193,14 @@ class Comparison:
     def _save(self, folder: Path) -> None:
         for law, result in self.results.items():
             result.save(folder / f"{law}.csv")
-        offsets = ("theta_encoder_offset", "delta_encoder_offset")
-        lines = [",".join(["law", "draw", *offsets, "kept", *NAMES])]
+        offsets, names = self.chance.offsets, list(self.quantities)
+        lines = [_row("law", "draw", *offsets, "kept", *names)]
         for d in self.draws:
-            start = self.scenario.plant.start if d.number is None else drawn(self.scenario, d.number).plant.start
-            about = ["" if d.number is None else str(d.number), *(str(start.get(name, "")) for name in offsets)]
-            lines.append(",".join([d.law, *about, str(int(d.kept)), *(repr(getattr(d.metrics, n)) for n in NAMES)]))
+            start = self.scenario.plant.start
+            if d.number is not None:
+                start = drawn(self.scenario, d.number, self.chance).plant.start
+            about = ["" if d.number is None else d.number, *(start.get(name, "") for name in offsets)]
+            lines.append(_row(d.law, *about, int(d.kept), *(repr(d.metrics.values[n]) for n in names)))
         write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
 
     def about(self) -> dict[str, Any]:
@@ -176,17 +208,24 @@ class Comparison:
         base, *others = self.of_law
         laws: dict[str, Any] = {}
         for law in self.of_law:
-            laws[law] = {name: _pair(self.value(law, name)) for name in SHOWN}
+            laws[law] = {name: _pair(self.value(law, name)) for name in self.shown}
             laws[law] |= {"kept": self.kept(law), "steady": self.steady(law)}
-            laws[law]["never_settled"] = self.never(law, "settling_time")
+            laws[law]["never_settled"] = self.unsettled(law)
         return {
             "format": FORMAT,
             "scenario": self.scenario.model_dump(mode="json"),
             "draws": self.count,
             "laws": laws,
-            "change": {law: {name: _pair(self.change(law, base, name)) for name in SHOWN} for law in others},
+            "change": {law: {name: _pair(self.change(law, base, name)) for name in self.shown} for law in others},
             "remarks": self.remarks(),
         }
+
+
+def _row(*cells: object) -> str:
+    """Return a line of a table; names of FMUs may have commas, quotes and line breaks in them."""
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(cells)
+    return text.getvalue()
 
 
 def _digests(folder: Path) -> dict[str, str]:
@@ -212,26 +251,60 @@ def _pair(estimate: Estimate) -> list[float | None]:
 
 @dataclass(frozen=True)
 class Study:
-    """A scenario, the folder of its file, and the number of draws; 0: once, as it stands."""
+    """A scenario, the folder of its file, the number of draws (0: once, as it stands), and what is varied in it.
+
+    `entry` is what is varied, and `values` its values by the names that they have in tables; None: names are the values.
+    """
 
     scenario: Scenario
     folder: Path
     draws: int = 0
+    entry: str = LAW
+    values: Mapping[str, Any] | None = None
+    chance: Chance = PENDULUM
 
     @property
     def numbers(self) -> Sequence[int | None]:
         """The draws' numbers."""
-        return range(1, self.draws + 1) if self.draws else [None]
+        return range(1, self.draws + 1) if self.draws and self.chance else [None]
 
     def at(self, law: str, number: int | None) -> Scenario:
-        """Return the scenario of a law and draw."""
-        scenario = self.scenario if number is None else drawn(self.scenario, number)
-        return scenario.changed({"controller.start.law": law})
+        """Return the scenario of a law, or another choice, and draw."""
+        scenario = self.scenario if number is None else drawn(self.scenario, number, self.chance)
+        return scenario.changed({self.entry: law if self.values is None else self.values[law]})
+
+
+def laws_of(scenario: Scenario, fmus: Path, folder: Path | None) -> list[str]:
+    """Return the laws that the scenario's controller has: the values of its enumeration `law`, in the order of LAWS.
+
+    Raises UserError where it has no such variable.
+    """
+    path = files(scenario, fmus, folder).fmus.get(CONTROLLER)
+    controller = None if path is None else Instance(CONTROLLER, path)
+    law = None if controller is None else controller.variables.get("law")
+    items = [item.name for item in getattr(getattr(law, "declaredType", None), "items", None) or ()]
+    if not items:
+        raise UserError("the controller has no enumeration `law` to compare; --vary ENTRY=VALUE,VALUE compares others")
+    return [law for law in LAWS if law in items] + [item for item in items if item not in LAWS]
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise UserError for names of choices that are not different, or cannot be names of files."""
+    if len(set(names)) < len(names) or not names:
+        raise UserError(f"what is compared must be different values, found {', '.join(names)}")
+    for name in names:
+        if not is_plain(name) or name == "comparison":
+            raise UserError(f"a value that is compared names a file, which {name!r} cannot")
 
 
 def check_outputs(scenario: Scenario, fmus: Path, folder: Path | None) -> None:
     """Raise UserError for a system that cannot be coupled, or whose FMUs lack outputs that the metrics need."""
-    missing = missing_signals(Coupling(build_system(scenario, fmus, folder)).checked_outputs(scenario.record.outputs))
+    system, judged = build_system(scenario, fmus, folder), evaluation(scenario, fmus, folder)
+    if judged is not None and not judged.errors:
+        raise UserError(
+            "there is nothing to judge: the controller gets no signal of the plant; evaluate.errors names some"
+        )
+    missing = missing_signals(Coupling(system).checked_outputs(scenario.record.outputs), judged)
     if missing:
         raise UserError(
             f"the metrics need {', '.join(missing)}, which the FMUs in {fmus} do not have as outputs, or the scenario does "
@@ -248,11 +321,15 @@ def compare(
 ) -> list[Comparison]:
     """Run every law in every study with every draw, in `workers` threads (None: one per core).
 
-    All laws of a study see the same encoder offsets and noise. `progress(done, total)` counts runs. Raises what a run
+    All laws of a study see the same encoder offsets and noise; a plant that has neither is run once. `laws` are the names
+    of the choices of each study. `progress(done, total)` counts runs. Raises what a run
     raises; on that, and on Ctrl-C, runs that have not begun are dropped and running ones stopped.
     """
+    check_names(laws)
     for study in studies:  # says what cannot work before anything runs
-        check_outputs(study.scenario, fmus, study.folder)
+        for law in laws:
+            check_outputs(study.at(law, None), fmus, study.folder)
+    studies = [replace(study, chance=chance_of(plant_values(study.scenario, fmus, study.folder))) for study in studies]
     jobs = [
         Job((s, law, number), study.at(law, number).changed({"record.every": 1}), study.folder)
         for s, study in enumerate(studies)
@@ -263,8 +340,11 @@ def compare(
     comparisons = []
     for s, study in enumerate(studies):
         draws = tuple(Draw(law, n, *found[s, law, n]) for law in laws for n in study.numbers)
-        ranked = sorted((d for d in draws if d.law == laws[0]), key=lambda d: d.metrics.steady_rms)
+        if len({tuple(draw.metrics.quantities) for draw in draws}) > 1:
+            raise UserError(f"runs of different {study.entry} are judged by different signals; evaluate says which")
+        rms = measure_of(draws[0].metrics.quantities, "rms").name
+        ranked = sorted((d for d in draws if d.law == laws[0]), key=lambda d: d.metrics.values[rms])
         typical = ranked[len(ranked) // 2].number
         results = {law: run_scenario(study.at(law, typical), fmus, study.folder) for law in laws}
-        comparisons.append(Comparison(study.scenario, draws, results))
+        comparisons.append(Comparison(study.scenario, draws, results, study.chance))
     return comparisons

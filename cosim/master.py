@@ -28,6 +28,7 @@ from .interrupts import second_ends
 from .native_loop import NativeLoop, needs_python
 from .results import Result, versions
 from .room import check_rows
+from .unit_definitions import scale_of, scale_text
 
 Order = Literal["controller-first", "parallel"]
 ORDERS: tuple[str, ...] = get_args(Order)
@@ -54,18 +55,32 @@ class Component:
 
 @dataclass(frozen=True)
 class Wire:
-    """A connection from an output to an input, each as `instance.variable`."""
+    """A connection from an output to an input, each as `instance.variable`: target = factor source + offset.
+
+    A factor other than 1 or an offset other than 0 is the user's word on the units, which then may differ.
+    """
 
     source: str
     target: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def converts(self) -> bool:
+        """Whether the value changes on its way."""
+        return self.factor != 1.0 or self.offset != 0.0
 
 
 @dataclass(frozen=True)
 class Signal:
-    """A function of time [s] on an input `instance.variable`, evaluated at the start of each step and held."""
+    """A function of time [s] on an input `instance.variable`, evaluated at the start of each step and held.
+
+    With `recorded` the input is recorded as outputs are: a row has the value of the step that ended there.
+    """
 
     target: str
     function: Callable[[float], float]
+    recorded: bool = field(default=False, kw_only=True)
 
     def ahead(self, start_time: float, step: float, first: int, count: int) -> Sequence[float]:
         """Return the values at start_time + k step for `count` steps from `first` on."""
@@ -103,10 +118,10 @@ class Coupling:
             raise UserError(f"instances need unique names of letters, digits and underscores, found {', '.join(names)}")
         self.instances = {c.name: Instance(c.name, Path(c.path)) for c in system.components}
         self.start = {c.name: self.instances[c.name].checked_start(c.start) for c in system.components}
-        self.wires = [(self._end(w.source, "output"), self._end(w.target, "input")) for w in system.wires]
+        self.wires = [(self._end(w.source, "output"), self._end(w.target, "input"), w) for w in system.wires]
         self.signals = [(self._end(s.target, "input"), s) for s in system.signals]
-        for source, target in self.wires:
-            self._check_wire(source, target)
+        for source, target, wire in self.wires:
+            self._check_wire(source, target, wire)
         for (instance, variable), _ in self.signals:
             kind = self.instances[instance].variables[variable].type
             if kind not in RECORDED:
@@ -114,8 +129,11 @@ class Coupling:
         self._check_single_sources()
 
     def outputs(self) -> list[str]:
-        """Return the names of all outputs that can be recorded, as `instance.variable`."""
-        return [f"{i.name}.{v.name}" for i in self.instances.values() for v in i.outputs()]
+        """Return the names of all that is recorded by default: the outputs, and inputs whose signals want it."""
+        return [
+            *(f"{i.name}.{v.name}" for i in self.instances.values() for v in i.outputs()),
+            *(".".join(target) for target, driver in self.signals if driver.recorded),
+        ]
 
     def checked_outputs(self, names: Sequence[str] | None) -> list[str]:
         """Return the outputs to record, all for None; raise UserError for names that are not outputs."""
@@ -124,8 +142,9 @@ class Coupling:
                 if texts := instance.texts():
                     instance.messages.append(f"warning: String outputs are not recorded: {', '.join(texts)}")
             return self.outputs()
+        driven = {".".join(target) for target, _ in self.signals}
         for name in names:
-            instance, variable = self._end(name, "output")
+            instance, variable = self._end(name, "input" if name in driven else "output")
             kind = self.instances[instance].variables[variable].type
             if kind not in RECORDED:
                 raise UserError(f"the output {name} cannot be recorded, it is a {kind}")
@@ -147,7 +166,7 @@ class Coupling:
             raise UserError(f"{name} must be an {causality}, found {found.causality}")
         return instance, variable
 
-    def _check_wire(self, source: tuple[str, str], target: tuple[str, str]) -> None:
+    def _check_wire(self, source: tuple[str, str], target: tuple[str, str], wire: Wire) -> None:
         a = self.instances[source[0]].variables[source[1]]
         b = self.instances[target[0]].variables[target[1]]
         text = f"the wire {'.'.join(source)} -> {'.'.join(target)}"
@@ -155,15 +174,30 @@ class Coupling:
             raise UserError(f"{text} must join equal types, found {a.type} and {b.type}")
         if a.type not in RECORDED:
             raise UserError(f"{text} must join numbers or Booleans, found {a.type}")
+        if wire.converts:
+            if a.type != "Real" or not (math.isfinite(wire.factor) and math.isfinite(wire.offset)):
+                raise UserError(f"{text} may convert real numbers by finite ones, found {a.type}, {_conversion(wire)}")
+            return
         if (a.unit or "1") == (b.unit or "1"):
             return
         if a.unit and b.unit:
-            raise UserError(f"{text} must join equal units, found {a.unit} and {b.unit}")
+            units = f"{a.unit} and {b.unit}"
+            raise UserError(
+                f"{text} must join equal units, found {units}{self._hint(source[0], target[0], a.unit, b.unit)}"
+            )
         (owner, name), unit = (target, a.unit) if a.unit else (source, b.unit)
         self.instances[owner].messages.append(f"warning: {name} declares no unit and is taken to be in {unit}")
 
+    def _hint(self, source: str, target: str, from_unit: str, to_unit: str) -> str:
+        """Return how the wire would convert, where both FMUs define their units by the same quantity."""
+        scales = (
+            scale_of(self.instances[owner].description, unit)
+            for owner, unit in ((source, from_unit), (target, to_unit))
+        )
+        return scale_text(*scales)
+
     def _check_single_sources(self) -> None:
-        targets = [".".join(t) for _, t in self.wires] + [".".join(t) for t, _ in self.signals]
+        targets = [".".join(t) for _, t, _ in self.wires] + [".".join(t) for t, _ in self.signals]
         for target in targets:
             if targets.count(target) > 1:
                 raise UserError(f"the input {target} must have one source, found {targets.count(target)}")
@@ -175,29 +209,42 @@ def _split(name: str) -> tuple[str, str]:
     return instance, variable
 
 
+def _conversion(wire: Wire) -> str:
+    return f"factor {wire.factor:g} and offset {wire.offset:g}"
+
+
 class _Exchange:
     """The buffers of a running coupling: input and output ports per instance, and what is copied between them."""
 
     def __init__(self, coupling: Coupling, recorded: Sequence[str]) -> None:
         instances = coupling.instances
-        sources = {source for source, _ in coupling.wires} | {_split(name) for name in recorded}
-        targets = [t for _, t in coupling.wires] + [t for t, _ in coupling.signals]
+        sources = {source for source, _, _ in coupling.wires} | {_split(name) for name in recorded}
+        targets = [t for _, t, _ in coupling.wires] + [t for t, _ in coupling.signals]
+        sources -= {target for target, _ in coupling.signals}  # recorded from the buffer that they are set from
         self.outputs = {n: i.ports([v for v in i.variables if (n, v) in sources], "Get") for n, i in instances.items()}
         self.inputs = {n: i.ports([v for o, v in targets if o == n], "Set") for n, i in instances.items()}
         where_out = _slots(self.outputs)
         where_in = _slots(self.inputs)
         self.copies = {name: [] for name in instances}
-        for source, target in coupling.wires:
-            self.copies[target[0]].append((*where_out[source], *where_in[target]))
+        self.conversions = {name: [] for name in instances}
+        for source, target, wire in coupling.wires:
+            ends = (*where_out[source], *where_in[target])
+            if wire.converts:
+                self.conversions[target[0]].append((*ends, wire.factor, wire.offset))
+            else:
+                self.copies[target[0]].append(ends)
         self.drives = {name: [] for name in instances}
         for target, driver in coupling.signals:
             self.drives[target[0]].append((driver, *where_in[target]))
-        self.recorded = [where_out[_split(name)] for name in recorded]
+        where = {**where_in, **where_out}
+        self.recorded = [where[_split(name)] for name in recorded]
 
     def gather(self, name: str, time: float) -> None:
         """Copy what the instance's inputs are wired to into its input buffers."""
         for source, i, target, j in self.copies[name]:
             target[j] = source[i]
+        for source, i, target, j, factor, offset in self.conversions[name]:
+            target[j] = factor * source[i] + offset
         for driver, target, j in self.drives[name]:
             target[j] = driver.function(time)
 
@@ -276,6 +323,7 @@ def simulate(
         },
         "start_values": coupling.start,
         "wires": [[w.source, w.target] for w in system.wires],
+        **_conversions(system),
         "order": order,
         "engine": engine,
         "step": step,
@@ -285,6 +333,12 @@ def simulate(
     }
     run = _Run(coupling, recorded, steps, every, about)
     return run.execute(step, start_time, order, engine, progress)
+
+
+def _conversions(system: System) -> dict[str, Any]:
+    """Return factor and offset of the wires that convert, by their targets, as metadata; nothing where none does."""
+    found = {w.target: [w.factor, w.offset] for w in system.wires if w.converts}
+    return {"conversions": found} if found else {}
 
 
 @contextmanager
@@ -371,6 +425,10 @@ class _Run:
             (recorder.slots[True], recorder.tables[True]),
             (recorder.slots[False], recorder.tables[False]),
             recorder.time,
+            [
+                [((a, i), (b, j), factor, offset) for a, i, b, j, factor, offset in exchange.conversions[n]]
+                for n in names
+            ],
         )
         parallel = order == "parallel"
         for done in loop.advance(start_time, step, self.steps, self.every, recorder.rows, parallel=parallel):

@@ -1,25 +1,35 @@
-"""Numbers that judge a run, from a result of whatever origin: simulation or device."""
+"""Numbers that judge a run, from a result of whatever origin: simulation or device, of whatever system.
+
+What is judged is the result's own word, see `evaluation`: errors with their set-points, controls, modes.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from .errors import UserError
+from .evaluation import (
+    ACTING,
+    NO_UNIT,
+    SWING_UP,
+    TOLERANCE,
+    ErrorSignal,
+    Evaluation,
+    evaluation_in,
+    pendulum_evaluation,
+)
 from .results import Result
 
 Array = np.ndarray
 
 STABILIZING = 3
-"""Value of the controller's output `mode` while the stabilizing law acts."""
-
-
-TOLERANCE = 0.02
-"""|q| within which the pendulum counts as settled [rad]."""
+"""Value of the output `mode` of the pendulum's controller while the stabilizing law acts."""
 
 WINDOW = 3.0
 """The steady state is looked at over the last seconds of a run [s]."""
@@ -28,65 +38,37 @@ PARTS = 6
 """Into how many parts the window is divided to look for a trend."""
 
 SURE, MATERIAL = 2.0, 1.1
-"""Ratios of RMS |q| in the window's halves: a trend on its own; too small to matter."""
+"""Ratios of RMS |e| in the window's halves: a trend on its own; too small to matter."""
 
 TREND_T = 3.747
 """Student's t of a trend's slope that happens by chance in 2 % of stationary windows (two-sided, PARTS - 2 degrees)."""
 
-ZERO = 0.01 * TOLERANCE
-"""RMS |q| that counts as zero: what still decays there is steady [rad]. A fifteenth of a count of the encoders."""
+ZERO = 0.01
+"""RMS |e| that counts as zero, in tolerances: what still decays there is steady. Of the pendulum a fifteenth of a count."""
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """What the comparison shows. |q| = hypot(theta, delta), delta wrapped to (-pi, pi]; QUANTITIES has symbols and units.
-
-    settling_time [s]: |q| stays within the tolerance from then on; NaN where it does not. integral_q2 [rad^2 s]: integral
-    of |q|^2 over the run. steady_rms [rad]: RMS of |q| over the window, the last seconds. steady_trend [1]: how many times
-    it falls from the window's first half to its second; exactly 1 where it is steady (`trend`), NaN where that cannot be
-    said. energy [V^2 s]: integral of V^2. peak_voltage [V]. voltage_variation [V/s]: total variation of V per second over
-    the window, the measure of chattering; NaN where the result does not have every row. capture_time [s]: the stabilizing
-    law first acts; NaN where it never does. captures: how often it took over.
-    """
-
-    settling_time: float
-    integral_q2: float
-    steady_rms: float
-    steady_trend: float
-    energy: float
-    peak_voltage: float
-    voltage_variation: float
-    capture_time: float
-    captures: int
-
-    @property
-    def steady(self) -> bool:
-        """Whether the window is a steady state; otherwise steady_rms and voltage_variation are partly a transient's."""
-        return self.steady_trend == 1.0
-
-    def as_dict(self) -> dict[str, float]:
-        """Return the numbers by name; NaN as None's JSON-safe stand-in is left to the caller."""
-        return asdict(self)
-
-
-NAMES = tuple(f.name for f in fields(Metrics))
+Role = Literal["settling", "integral", "rms", "trend", "energy", "peak", "variation", "capture", "captures"]
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
     """A metric as tables, pictures and texts show it.
 
-    `over_draws`: how it is averaged over draws, by its mean or its root mean square. `of_window`: it is a statement about
-    the steady state. `never`: what NaN means; such a draw counts the run's duration in a mean.
+    `role` is what it says, `group` the numbers of the errors or controls that it is said of. `over_draws`: how it is
+    averaged over draws, by its mean or its root mean square. `of_window`: it is a statement about the steady state.
+    `never`: what NaN means; such a draw counts the run's duration. `zero`: what counts as zero.
     """
 
     name: str
     symbol: str
     unit: str
     meaning: str
+    role: Role
+    group: tuple[int, ...] = ()
     over_draws: Literal["mean", "rms"] = "mean"
     of_window: bool = False
     never: bool = False
+    zero: float = 0.0
 
     @property
     def heading(self) -> str:
@@ -97,57 +79,193 @@ class Quantity:
         """Return a value as text without its unit."""
         if math.isnan(value):
             return "never" if self.never else "–"
-        if self.name == "steady_rms" and value < ZERO:
-            return f"< {ZERO:g}"
+        if value < self.zero:
+            return f"< {self.zero:g}"
         return f"{value:.4g}"
 
 
-QUANTITIES = {
-    q.name: q
-    for q in (
+@dataclass(frozen=True)
+class Metrics:
+    """What a comparison shows, by names: numbers, and what they mean. |e| is the norm of the errors of one group.
+
+    settling_time [s]: |e| stays within the tolerance from then on; NaN where it does not. integral_e2: integral of |e|^2
+    over the run. steady_rms: RMS of |e| over the window, the last seconds. steady_trend [1]: how many times it falls from
+    the window's first half to its second; exactly 1 where it is steady (`trend`), NaN where that cannot be said. energy:
+    integral of the sum of u^2. peak: largest |u|. control_variation: total variation of the controls per second over the
+    window, the measure of chattering; NaN where the result does not have every row. Where the controller first brings the
+    plant to where the law can act, capture_time [s]: the stabilizing law first acts, NaN where it never does; captures: how
+    often it took over. Of the pendulum integral_q2, peak_voltage and voltage_variation are the names. Each number is an
+    attribute too.
+    """
+
+    values: Mapping[str, float]
+    quantities: Mapping[str, Quantity]
+
+    def __getattr__(self, name: str) -> float:
+        try:
+            return object.__getattribute__(self, "values")[name]
+        except KeyError:
+            raise AttributeError(f"there is no metric {name!r}") from None
+
+    @property
+    def steady(self) -> bool:
+        """Whether the window is a steady state; otherwise what is said of it is partly a transient's."""
+        return all(self.values[q.name] == 1.0 for q in self.quantities.values() if q.role == "trend")
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the numbers by name; NaN as None's JSON-safe stand-in is left to the caller."""
+        return dict(self.values)
+
+
+@dataclass(frozen=True)
+class _Words:
+    """How a kind of system names its metrics."""
+
+    integral: str = "integral_e2"
+    peak: str = "peak"
+    variation: str = "control_variation"
+    norm: str = "e"
+
+
+_WORDS = {"general": _Words(), "pendulum": _Words("integral_q2", "peak_voltage", "voltage_variation", "q")}
+
+
+def squared(unit: str) -> str:
+    """Return the square of a unit, empty where there is none."""
+    return "" if unit == NO_UNIT else f"{unit}²" if unit.isalpha() else f"({unit})²"
+
+
+@lru_cache(maxsize=64)
+def quantities_of(evaluation: Evaluation) -> dict[str, Quantity]:
+    """Return every metric of a system by its name in files, in the order of tables."""
+    about, words = evaluation, _WORDS[evaluation.kind]
+    errors = [_error_quantities(about, words, suffix, group) for suffix, group in about.error_groups.items()]
+    controls = [_control_quantities(about, words, suffix, group) for suffix, group in about.control_groups.items()]
+    found = [q for some in (*errors, *controls) for q in some]
+    if about.mode is not None and about.mode.value(SWING_UP) is not None:
+        found += [
+            Quantity("capture_time", "capture", "s", "the stabilizing law first acts", "capture", never=True),
+            Quantity("captures", "captures", "", "how often the stabilizing law took over", "captures"),
+        ]
+    return {q.name: q for q in found}
+
+
+def _error_quantities(about: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]) -> list[Quantity]:
+    unit = about.error_unit(group)
+    shown = "" if unit == NO_UNIT else unit
+    e = f"|{words.norm}|" if not suffix else f"|{words.norm} {about.errors[group[0]].name}|"
+    of = f" {e}" if suffix else ""
+    within = f"{about.tolerance:g} {shown}".rstrip()
+    return [
         Quantity(
-            "settling_time", "settling", "s", f"from then on |q| ≤ {TOLERANCE:g} rad to the end of the run", never=True
+            f"settling_time{suffix}",
+            f"settling{of}",
+            "s",
+            f"from then on {e} ≤ {within} to the end of the run",
+            "settling",
+            group,
+            never=True,
         ),
-        Quantity("integral_q2", "∫|q|² dt", "rad² s", "over the run, by the trapezoidal rule"),
         Quantity(
-            "steady_rms", "steady RMS |q|", "rad", f"over the last {WINDOW:g} s", over_draws="rms", of_window=True
+            f"{words.integral}{suffix}",
+            f"∫{e}² dt",
+            f"{squared(unit)} s".strip(),
+            "over the run, by the trapezoidal rule",
+            "integral",
+            group,
         ),
         Quantity(
-            "steady_trend",
-            "steady trend",
+            f"steady_rms{suffix}",
+            f"steady RMS {e}",
+            shown,
+            f"over the last {WINDOW:g} s",
+            "rms",
+            group,
+            over_draws="rms",
+            of_window=True,
+            zero=ZERO * about.tolerance,
+        ),
+        Quantity(
+            f"steady_trend{suffix}",
+            f"steady trend{of}",
             "",
-            "RMS of |q| in the window's first half over that in its second; 1: steady",
+            f"RMS of {e} in the window's first half over that in its second; 1: steady",
+            "trend",
+            group,
         ),
-        Quantity("energy", "∫V² dt", "V² s", "over the run, exact for the held voltage"),
-        Quantity("peak_voltage", "peak |V|", "V", "over the run"),
+    ]
+
+
+def _control_quantities(about: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]) -> list[Quantity]:
+    unit = about.controls[group[0]].unit
+    shown = "" if unit == NO_UNIT else unit
+    names = [about.controls[k].name for k in group]
+    pendulum = about.kind == "pendulum"
+    one = "V" if pendulum else names[0] if len(group) == 1 else "u"
+    called = "voltage" if pendulum else one if len(group) == 1 else "controls"
+    energy = f"∫{one}² dt" if len(group) == 1 else "∫Σu² dt"
+    held = "voltage" if pendulum else "controls"
+    peaks = [
         Quantity(
-            "voltage_variation",
-            "variation of V",
-            "V/s",
-            f"total variation of the voltage per second over the last {WINDOW:g} s, the measure of chattering",
+            f"{words.peak}{suffix if len(group) == 1 else f'[{about.controls[k].signal}]'}",
+            f"peak |{'V' if pendulum else about.controls[k].name}|",
+            shown,
+            "over the run",
+            "peak",
+            (k,),
+        )
+        for k in group
+    ]
+    return [
+        Quantity(
+            f"energy{suffix}",
+            energy,
+            f"{squared(unit)} s".strip(),
+            f"over the run, exact for the held {held}",
+            "energy",
+            group,
+        ),
+        *peaks,
+        Quantity(
+            f"{words.variation}{suffix}",
+            f"variation of {one}",
+            f"{shown or '1'}/s",
+            f"total variation of the {called} per second over the last {WINDOW:g} s, the measure of chattering",
+            "variation",
+            group,
             of_window=True,
         ),
-        Quantity("capture_time", "capture", "s", "the stabilizing law first acts", never=True),
-        Quantity("captures", "captures", "", "how often the stabilizing law took over"),
-    )
-}
-"""Every metric by its name in files: the one table of symbols and units."""
+    ]
 
 
-def trend(time: Array, q: Array, window: float = WINDOW) -> float:
-    """Return how many times RMS |q| falls from the first half of the last `window` [s] to the second; 1 where it is steady.
+QUANTITIES = quantities_of(pendulum_evaluation({}))
+"""The pendulum's metrics by their names in files."""
+
+
+def is_pendulum(quantities: Mapping[str, Quantity]) -> bool:
+    """Return whether these are the pendulum's metrics."""
+    return quantities == QUANTITIES
+
+
+def measure_of(quantities: Mapping[str, Quantity], role: Role) -> Quantity:
+    """Return the first metric of a role."""
+    return next(q for q in quantities.values() if q.role == role)
+
+
+def trend(time: Array, e: Array, window: float = WINDOW, zero: float = ZERO * TOLERANCE) -> float:
+    """Return how many times RMS |e| falls from the first half of the last `window` [s] to the second; 1 where it is steady.
 
     A window is steady unless the ratio of the two is
-    - at least SURE, or at most its inverse: no stationary |q| that this loop shows does that; or
+    - at least SURE, or at most its inverse: no stationary |e| that this loop shows does that; or
     - at least MATERIAL, or at most its inverse, and the logarithms of the mean squares of PARTS equal parts have a slope
       of that sign with Student's t above TREND_T: a trend against what scatters about it (an exponential has no scatter).
-    ZERO^2 is added to each mean square, so that what decays below that counts as zero. NaN where the run
-    is shorter than the window, has less than two rows for each part, or a |q| that is not finite.
+    zero^2 is added to each mean square, so that what decays below that counts as zero. NaN where the run
+    is shorter than the window, has less than two rows for each part, or a |e| that is not finite.
     """
-    late = q[time >= time[-1] - window]
+    late = e[time >= time[-1] - window]
     if time[-1] - time[0] < window * (1.0 - 1e-9) or len(late) < 2 * PARTS or not np.all(np.isfinite(late)):
         return math.nan
-    parts = np.array([np.mean(part**2) for part in np.array_split(late, PARTS)]) + ZERO**2
+    parts = np.array([np.mean(part**2) for part in np.array_split(late, PARTS)]) + zero**2
     ratio = math.sqrt(float(np.sum(parts[: PARTS // 2]) / np.sum(parts[PARTS // 2 :])))
     if max(ratio, 1.0 / ratio) < MATERIAL:
         return 1.0
@@ -162,12 +280,14 @@ def unsteady(metrics: Metrics) -> str:
     """Return in a sentence why the window is no steady state; empty where it is one."""
     if metrics.steady:
         return ""
-    if math.isnan(metrics.steady_trend):
+    trends = {q.symbol: metrics.values[q.name] for q in metrics.quantities.values() if q.role == "trend"}
+    symbol, found = next((symbol, value) for symbol, value in trends.items() if value != 1.0)
+    if math.isnan(found):
         return f"no steady state can be told: the run is shorter than {WINDOW:g} s, or has too few rows there"
-    falls = metrics.steady_trend > 1.0
-    times = metrics.steady_trend if falls else 1.0 / metrics.steady_trend
+    times = found if found > 1.0 else 1.0 / found
+    e = symbol.removeprefix("steady trend").strip() or measure_of(metrics.quantities, "rms").symbol.split()[-1]
     return (
-        f"no steady state: over the last {WINDOW:g} s RMS |q| {'falls' if falls else 'grows'} {times:.3g} times "
+        f"no steady state: over the last {WINDOW:g} s RMS {e} {'falls' if found > 1.0 else 'grows'} {times:.3g} times "
         "from half to half; a longer run would tell"
     )
 
@@ -177,49 +297,81 @@ def wrapped(angle: Array) -> Array:
     return -((math.pi - angle) % (2.0 * math.pi) - math.pi)
 
 
-def missing_signals(known: Iterable[str]) -> list[str]:
-    """Return which signals the metrics need besides the `known` ones."""
-    there = set(known)
-    missing = [name for name in ("controller.voltage", "controller.mode") if name not in there]
-    pairs = [[f"plant.{a}{suffix}" for a in ("theta", "delta")] for suffix in ("_encoder", "")]
-    return missing + min(([name for name in pair if name not in there] for pair in pairs), key=len)
+def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) -> list[str]:
+    """Return which signals the metrics need besides the `known` ones; without an evaluation the pendulum's."""
+    there = dict.fromkeys(known)
+    needed = (evaluation or pendulum_evaluation(there)).signals
+    return [name for name in needed if name not in there]
 
 
 def can_evaluate(result: Result) -> bool:
-    """Return whether `result` has the signals that the metrics need."""
-    if missing_signals(result.signals):
+    """Return whether `result` has the signals that its metrics need."""
+    about = evaluation_in(result)
+    if not about.errors or missing_signals(result.signals, about):
         return False
-    mode = result["controller.mode"]
+    if about.mode is None:
+        return True
+    mode = result[about.mode.signal]
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
+def can_draw(result: Result) -> bool:
+    """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
+    about = evaluation_in(result)
+    return about.kind != "pendulum" or about.norm in result.signals
+
+
+def error(result: Result, about: ErrorSignal) -> Array:
+    """Return an error at each row: what the controller is given of a signal, less its set-point."""
+    e = np.asarray(result[about.signal], dtype=float)
+    if about.factor != 1.0 or about.offset != 0.0:
+        e = about.factor * e + about.offset
+    point = about.constant if about.set_point is None else np.asarray(result[about.set_point], dtype=float)
+    if about.set_point is not None or about.constant != 0.0:
+        e = e - point
+    return wrapped(e) if about.wraps else e
+
+
+def error_norm(result: Result, about: Evaluation, group: Sequence[int]) -> Array:
+    """Return |e| of a group of errors at each row, each over its scale where there are scales."""
+    errors = [error(result, about.errors[k]) for k in group]
+    if about.scales is not None:
+        errors = [e / about.scales[k] for k, e in zip(group, errors, strict=True)]
+    if len(errors) == 1:
+        return np.abs(errors[0])
+    return np.hypot(*errors) if len(errors) == 2 else np.sqrt(sum(e**2 for e in errors))
+
+
 def angle_norm(result: Result) -> Array:
-    """Return |q| [rad] at each row: of the true angles where the result has them, of the measured ones otherwise."""
-    for suffix in ("", "_encoder"):
-        names = [f"plant.{angle}{suffix}" for angle in ("theta", "delta")]
-        if all(name in result.signals for name in names):
-            return np.hypot(result[names[0]], wrapped(result[names[1]]))
-    raise UserError("the result has neither plant.theta and plant.delta nor the encoders' angles")
+    """Return |q| [rad] of the pendulum at each row: of the true angles where the result has them, else of the measured."""
+    about = evaluation_in(result)
+    if about.kind != "pendulum" or any(e.signal not in result.signals for e in about.errors):
+        raise UserError("the result has neither plant.theta and plant.delta nor the encoders' angles")
+    return error_norm(result, about, (0, 1))
 
 
 def settling_time(time: Array, q: Array, tolerance: float) -> float:
     """Return the time from which |q| <= tolerance to the end of the run [s]; NaN where the last row exceeds it."""
-    outside = np.flatnonzero(q > tolerance)
+    outside = np.flatnonzero(~(q <= tolerance))
     if not outside.size:
         return float(time[0])
     return float(time[outside[-1] + 1]) if outside[-1] + 1 < len(time) else math.nan
 
 
-def takeovers(mode: Array) -> Array:
-    """Return the rows at which the stabilizing law takes over, from the controller's output `mode`."""
-    stabilizing = mode == STABILIZING
-    return np.flatnonzero(stabilizing & ~np.concatenate([[False], stabilizing[:-1]]))
+def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:
+    """Return the rows at which the stabilizing law takes over, from the controller's output `mode` and its value then."""
+    acts = mode == stabilizing
+    return np.flatnonzero(acts & ~np.concatenate([[False], acts[:-1]]))
 
 
 def kept_upright(result: Result) -> bool:
-    """Return whether the stabilizing law took over once and acts at the end."""
-    mode = result["controller.mode"]
-    return takeovers(mode).size == 1 and bool(mode[-1] == STABILIZING)
+    """Return whether the stabilizing law took over once and acts at the end; without such a mode, whether all is finite."""
+    about = evaluation_in(result)
+    acts = None if about.mode is None else about.mode.value(ACTING)
+    if about.mode is None or acts is None:
+        return all(bool(np.all(np.isfinite(result[name]))) for name in about.signals)
+    mode = result[about.mode.signal]
+    return takeovers(mode, acts).size == 1 and bool(mode[-1] == acts)
 
 
 def variation_rate(time: Array, signal: Array) -> float:
@@ -233,26 +385,64 @@ def has_every_row(result: Result) -> bool:
     return not isinstance(step, int | float) or float(np.median(np.diff(result.time))) < 1.5 * step
 
 
-def evaluate(result: Result, tolerance: float = TOLERANCE, steady: float = WINDOW) -> Metrics:
-    """Return the metrics of `result`; `tolerance` [rad] defines settling, `steady` [s] the window at the end.
+def evaluate(result: Result, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
+    """Return the metrics of `result`; `tolerance` of |e| (None: the result's own) defines settling, `steady` [s] the window.
 
-    Integrals are sums over the steps: |q|^2 by the trapezoidal rule, V^2 exactly, since the voltage of a row was held
+    Integrals are sums over the steps: |e|^2 by the trapezoidal rule, u^2 exactly, since the control of a row was held
     over the step that ended there. Raises UserError for a result without the signals or with fewer than two rows.
     """
-    time = result.time
-    if len(time) < 2:
-        raise UserError(f"metrics need at least two rows, found {len(time)}")
-    q, voltage, mode = angle_norm(result), result["controller.voltage"], result["controller.mode"]
-    captures = takeovers(mode)
-    late = time >= time[-1] - steady
-    return Metrics(
-        settling_time=settling_time(time, q, tolerance),
-        integral_q2=float(np.trapezoid(q**2, time)),
-        steady_rms=float(np.sqrt(np.mean(q[late] ** 2))),
-        steady_trend=trend(time, q, steady),
-        energy=float(np.sum(voltage[1:] ** 2 * np.diff(time))),
-        peak_voltage=float(np.max(np.abs(voltage))),
-        voltage_variation=variation_rate(time[late], voltage[late]) if has_every_row(result) else math.nan,
-        capture_time=float(time[captures[0]]) if captures.size else math.nan,
-        captures=int(captures.size),
-    )
+    if len(result.time) < 2:
+        raise UserError(f"metrics need at least two rows, found {len(result.time)}")
+    about = evaluation_in(result)
+    missing = missing_signals(result.signals, about)
+    if about.kind == "pendulum":
+        angle_norm(result)  # says which pairs of angles would do
+    if missing:
+        raise UserError(f"the result has no signal {missing[0]!r}; it has {', '.join(result.signals)}")
+    judge = _Judge(result, about, about.tolerance if tolerance is None else tolerance, steady)
+    quantities = quantities_of(about)
+    return Metrics({name: judge.number(q) for name, q in quantities.items()}, quantities)
+
+
+class _Judge:
+    """A result with its errors' norms and controls at hand."""
+
+    def __init__(self, result: Result, about: Evaluation, tolerance: float, steady: float) -> None:
+        self.time, self.about, self.tolerance, self.steady = result.time, about, tolerance, steady
+        self.late = self.time >= self.time[-1] - steady
+        self.norms = {group: error_norm(result, about, group) for group in about.error_groups.values()}
+        self.controls = [np.asarray(result[control.signal]) for control in about.controls]
+        self.every_row = has_every_row(result)
+        acts = None if about.mode is None else about.mode.value(ACTING)
+        self.captures = np.zeros(0, int)
+        if about.mode is not None and acts is not None:
+            self.captures = takeovers(result[about.mode.signal], acts)
+
+    def number(self, q: Quantity) -> float:
+        """Return the value of a metric."""
+        if q.role == "capture":
+            return float(self.time[self.captures[0]]) if self.captures.size else math.nan
+        if q.role == "captures":
+            return int(self.captures.size)
+        if q.role in ("energy", "peak", "variation"):
+            return self._of_controls(q)
+        return self._of_errors(q, self.norms[q.group])
+
+    def _of_errors(self, q: Quantity, e: Array) -> float:
+        if q.role == "settling":
+            return settling_time(self.time, e, self.tolerance)
+        if q.role == "integral":
+            return float(np.trapezoid(e**2, self.time))
+        if q.role == "rms":
+            return float(np.sqrt(np.mean(e[self.late] ** 2)))
+        return trend(self.time, e, self.steady, ZERO * self.about.tolerance)
+
+    def _of_controls(self, q: Quantity) -> float:
+        some = [self.controls[k] for k in q.group]
+        if q.role == "peak":
+            return max(float(np.max(np.abs(u))) for u in some)
+        if q.role == "energy":
+            return sum(float(np.sum(u[1:] ** 2 * np.diff(self.time))) for u in some)
+        if not self.every_row:
+            return math.nan
+        return sum(variation_rate(self.time[self.late], u[self.late]) for u in some)

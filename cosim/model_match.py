@@ -1,5 +1,9 @@
 """Where controller and plant meet: is the model that the controller was designed for the plant's?
 
+The question is answered for the pendulum and its controller (`misfit`, `remarks`); of other pairs nothing is said. A pair of
+another kind, a controller FMU with its design in resources/design.json and a plant whose linearization can be had, belongs
+into `judged_pair`, which is the only place that looks at FMUs.
+
 The controller FMU's Phi and row hold its design's model, since z = Phi x obeys z' = N z + e_n (u + row x) with the upper
 shift N:
 
@@ -20,7 +24,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from itertools import permutations
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,6 +32,9 @@ from fmu_export.errors import UserError
 from ihc_fmu.pendulum.interface import STATES, matrix, vector
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import QubeParameters
+
+if TYPE_CHECKING:
+    from .master import System
 
 Array = np.ndarray
 
@@ -82,6 +89,15 @@ class Distance:
         """Whether the two may be one system with somewhat different parameters."""
         near = self.stiffness <= LARGEST_DISTANCE and self.angle <= LARGEST_ANGLE and self.kinematics <= KINEMATICS
         return near and GAINS[0] <= self.gain <= GAINS[1]
+
+
+def judged_pair(system: System) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Return all start values of a system's controller and plant, which judge them; None where there are not both."""
+    from .fmu import start_values_of  # noqa: PLC0415 - heavy
+    from .wiring import CONTROLLER, PLANT  # noqa: PLC0415
+
+    found = {c.name: {**start_values_of(c.path), **c.start} for c in system.components}
+    return (found[CONTROLLER], found[PLANT]) if {CONTROLLER, PLANT} <= found.keys() else None
 
 
 def design_model(controller: Mapping[str, Any]) -> Model | None:

@@ -36,16 +36,23 @@ class _Wire(ctypes.Structure):
     _fields_ = [("source", _P), ("target", _P), ("size", _Z)]
 
 
+class _Conversion(ctypes.Structure):
+    _fields_ = [("source", _P), ("target", _P), ("factor", _D), ("offset", _D)]
+
+
 class _Signal(ctypes.Structure):
     _fields_ = [("values", _P), ("target", _P), ("size", _Z)]
+
+
+_COUNTS = ("input_count", "output_count", "wire_count", "conversion_count", "signal_count")
 
 
 class _Instance(ctypes.Structure):
     _fields_ = [
         ("component", _P),
         ("do_step", _P),
-        *[(name, _Z) for name in ("input_count", "output_count", "wire_count", "signal_count")],
-        *[(name, _P) for name in ("inputs", "outputs", "wires", "signals")],
+        *[(name, _Z) for name in _COUNTS],
+        *[(name, _P) for name in ("inputs", "outputs", "wires", "conversions", "signals")],
     ]
 
 
@@ -92,6 +99,9 @@ def _advance() -> Callable[..., int]:
 Slot = tuple[ctypes.Array, int]
 """A place in a port's buffer."""
 
+Conversion = tuple[Slot, Slot, float, float]
+"""A wire that converts: source, target, factor, offset."""
+
 Ahead = Callable[[float, float, int, int], Sequence[float]]
 """A signal's values ahead: from start time, step, index of the first step and number of steps."""
 
@@ -99,9 +109,9 @@ Ahead = Callable[[float, float, int, int], Sequence[float]]
 class NativeLoop:
     """The C structs of one run, and all that they point to.
 
-    `wires` and `signals` are, per instance in stepping order, (source, target) and (`Signal.ahead`, target); `reals`
-    and `integers` are (recorded outputs, array with a row for each record and a column for each output, of float64 and of
-    int64), and `times` the rows' times.
+    `wires`, `signals` and `conversions` (None: none) are, per instance in stepping order, (source, target),
+    (`Signal.ahead`, target) and (source, target, factor, offset); `reals` and `integers` are (recorded outputs, array with
+    a row for each record and a column for each output, of float64 and of int64), and `times` the rows' times.
     """
 
     def __init__(
@@ -114,11 +124,13 @@ class NativeLoop:
         reals: tuple[Sequence[Slot], np.ndarray],
         integers: tuple[Sequence[Slot], np.ndarray],
         times: np.ndarray,
+        conversions: Sequence[Sequence[Conversion]] | None = None,
     ) -> None:
         self._advance = _advance()
         self._kept: list[Any] = [instances, inputs, outputs, reals, integers, times]
         self._signals: list[tuple[Ahead, ctypes.Array]] = []
-        stages = [self._instance(*parts) for parts in zip(instances, inputs, outputs, wires, signals, strict=True)]
+        parts = zip(instances, inputs, outputs, wires, conversions or [[] for _ in instances], signals, strict=True)
+        stages = [self._instance(*part) for part in parts]
         self.run = _Run(
             instance_count=len(stages),
             instances=self._array(_Instance, stages),
@@ -175,6 +187,7 @@ class NativeLoop:
         inputs: Sequence[Port],
         outputs: Sequence[Port],
         wires: Sequence[tuple[Slot, Slot]],
+        conversions: Sequence[Conversion],
         signals: Sequence[tuple[Ahead, Slot]],
     ) -> _Instance:
         component, do_step = instance.pointers()
@@ -185,16 +198,19 @@ class NativeLoop:
             self._signals.append((ahead, values))
             rows.append(_Signal(ctypes.addressof(values), _address(target), ctypes.sizeof(kind)))
         wire_rows = [_Wire(_address(s), _address(t), ctypes.sizeof(t[0]._type_)) for s, t in wires]
+        scaled = [_Conversion(_address(s), _address(t), factor, offset) for s, t, factor, offset in conversions]
         return _Instance(
             component=component,
             do_step=do_step,
             input_count=len(inputs),
             output_count=len(outputs),
             wire_count=len(wire_rows),
+            conversion_count=len(scaled),
             signal_count=len(rows),
             inputs=self._array(_Port, [_port(p) for p in inputs]),
             outputs=self._array(_Port, [_port(p) for p in outputs]),
             wires=self._array(_Wire, wire_rows),
+            conversions=self._array(_Conversion, scaled),
             signals=self._array(_Signal, rows),
         )
 

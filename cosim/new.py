@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 from string import Template
 
+from filing.ownership import WRITTEN
+
 from fmu_export.errors import shown
 from fmu_export.files import staging
-from fmu_export.ownership import WRITTEN
 
 from .errors import UserError
 from .names import is_plain

@@ -13,7 +13,7 @@ from fmu_export.errors import shown
 from .errors import UserError
 
 SCENARIOS = Path(__file__).parent / "scenarios"
-SCENARIO_HELP = f"TOML file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
+SCENARIO_HELP = f"TOML or SSP file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
 
 FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
 SetOption = Annotated[
@@ -36,6 +36,17 @@ def assignments(items: list[str] | None) -> list[tuple[str, Any]]:
             raise UserError(f"--set takes NAME=VALUE, found {item!r}")
         pairs.append((name, _value(name, text)))
     return pairs
+
+
+def varied(text: str) -> tuple[str, dict[str, Any]]:
+    """Return the entry and its values by their texts, of ENTRY=VALUE,VALUE,...; values are read as those of --set."""
+    name, equals, values = text.partition("=")
+    if not equals or not name.strip():
+        raise UserError(f"--vary takes ENTRY=VALUE,VALUE, found {text!r}")
+    texts = [value.strip() for value in values.split(",")]
+    if len(set(texts)) < len(texts) or not all(texts):
+        raise UserError(f"--vary takes different values, found {text!r}")
+    return name.strip(), {value: _value(name, value) for value in texts}
 
 
 def _value(name: str, text: str) -> Any:

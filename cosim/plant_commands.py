@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from filing.ownership import check_replaceable
 
 from fmu_export.errors import shown
-from fmu_export.ownership import check_replaceable
 
 from .display import console, escaped, problems, say_notes, show_table
 from .errors import UserError

@@ -1,4 +1,4 @@
-"""Figures of results: angles, |q|, voltage, homogeneous norm, with the controller's modes marked."""
+"""Figures of results: what is judged, |e|, controls, homogeneous norm, with the controller's modes marked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from filing.files import write_file
 from filing.origin import SOFTWARE
 from ihc_fmu.pendulum.interface import LAWS
 
-from .metrics import angle_norm, wrapped
+from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
+from .metrics import error_norm, wrapped
 from .results import Result
 
 COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837", "SMC1": "#e08214", "SMC2": "#a6611a"}
@@ -26,11 +27,37 @@ COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837", "SMC1": "#e08214
 OTHERS = ("#6a3d9a", "#d6604d", "#35978f", "#8c510a", "#e377c2", "#525252")
 """Of what is not a law, in this order."""
 
-MODE_COLOURS = {1: "#dddddd", 2: "#fdd49e", 3: "#c7e9c0", 4: "#fb6a4a"}
-MODE_NAMES = {1: "idle", 2: "swing-up", 3: "stabilizing", 4: "fault"}
+MODE_COLOURS = {"idle": "#dddddd", "swing_up": "#fdd49e", "stabilizing": "#c7e9c0", "fault": "#fb6a4a"}
+"""Of the controller's modes by their names."""
+OTHER_MODES = ("#d0d1e6", "#fcc5c0", "#ccebc5", "#ffffb3")
+"""Of modes with other names, in this order."""
 
-THETA, DELTA, Q, VOLTAGE, NORM = "arm θ [rad]", "pendulum δ [rad]", "|q| [rad]", "voltage V [V]", "$\\|x\\|_d$ [1]"
-"""Labels of the signals, in every picture."""
+
+def label(signal: ErrorSignal | ControlSignal) -> str:
+    """Return what stands beside an axis: the name with the unit."""
+    return literal(signal.name) + ("" if signal.unit == NO_UNIT else f" [{literal(signal.unit)}]")
+
+
+def literal(text: str) -> str:
+    """Return a user's text such that Matplotlib draws its dollar signs instead of setting formulas between them."""
+    return text.replace("$", r"\$")
+
+
+def norm_label(about: Evaluation, suffix: str) -> str:
+    """Return what stands beside the axis of a group's |e|."""
+    group = about.error_groups[suffix]
+    unit = about.error_unit(group)
+    name = f"|e {about.errors[group[0]].name}|" if suffix else "|q|" if about.kind == "pendulum" else "|e|"
+    return literal(name + ("" if unit == NO_UNIT else f" [{unit}]"))
+
+
+_PENDULUM = pendulum_evaluation({})
+THETA, DELTA = (label(error) for error in _PENDULUM.errors)
+Q, VOLTAGE, NORM = norm_label(_PENDULUM, ""), label(_PENDULUM.controls[0]), "$\\|x\\|_d$ [1]"
+"""Labels of the pendulum's signals, in every picture."""
+
+UNKNOWN = "#ffffff"
+"""Of a value of the mode that has no name."""
 
 LATE = 0.6
 """Share of a run after which a panel of its own shows it closer."""
@@ -44,47 +71,110 @@ def colours(names: Iterable[str]) -> dict[str, str]:
 
 def law_of(result: Result) -> str:
     """Return the law that a result was made with, empty where it does not say."""
-    start = result.metadata.get("start_values", {}).get("controller", {})
-    law = start.get("law")
-    return LAWS[int(law) - 1] if isinstance(law, int | float) and 1 <= law <= len(LAWS) else str(law or "")
+    law = _start_of(result.metadata.get("scenario"), "start").get("law")
+    if not isinstance(law, str):
+        law = _start_of(result.metadata, "start_values").get("law")
+    if isinstance(law, int | float) and "evaluation" not in result.metadata and 1 <= law <= len(LAWS):
+        return LAWS[int(law) - 1]
+    return law if isinstance(law, str) else ""
 
 
-COMPARISON = ("angles", "norm", "voltage", "homogeneous_norm")
-"""The pictures of `save_comparison`."""
+def _start_of(about: Any, name: str) -> dict[str, Any]:
+    """Return the controller's start values in metadata or in a scenario, wherever either has them."""
+    keys = ("controller", name) if name == "start" else (name, "controller")
+    for key in keys:
+        about = about.get(key) if isinstance(about, dict) else None
+    return about if isinstance(about, dict) else {}
+
+
+PICTURES = {
+    "pendulum": ("angles", "norm", "voltage", "homogeneous_norm"),
+    "general": ("signals", "norm", "controls", "homogeneous_norm"),
+}
+"""The pictures of `save_comparison`, by the kind of the system."""
+COMPARISON = tuple(dict.fromkeys(name for names in PICTURES.values() for name in names))
 
 
 def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> list[Path]:
-    """Write angles.png, norm.png, voltage.png and homogeneous_norm.png, one curve per entry of `results`, to `folder`."""
+    """Write pictures to `folder`, one curve per entry of `results`: what is judged, its norm, controls, homogeneous norm.
+
+    They are angles.png, norm.png, voltage.png and homogeneous_norm.png for the pendulum, and signals.png and controls.png
+    for other systems; the last only where all results have one.
+    """
     results = {literal(name): result for name, result in results.items()}
-    figures = {
-        "angles": _angles(results),
-        "norm": _logarithmic(results, angle_norm, Q),
-        "voltage": _voltage(results),
-        "homogeneous_norm": _logarithmic(results, _homogeneous_norm, f"homogeneous norm {NORM}"),
-    }
-    return [save_figure(figure, folder / f"{name}.png", title) for name, figure in figures.items()]
+    about = evaluation_in(next(iter(results.values())))
+    norms = [
+        (norm_label(about, suffix), lambda result, group=group: error_norm(result, about, group))
+        for suffix, group in about.error_groups.items()
+    ]
+    figures = [_errors(results, about), _logarithmic(results, norms), _controls(results, about)]
+    if _has_norm(about, results.values()):
+        homogeneous = (f"homogeneous norm {NORM}", lambda result: result[about.norm or ""])
+        figures.append(_logarithmic(results, [homogeneous]))
+    names = PICTURES[about.kind]
+    return [
+        save_figure(figure, folder / f"{name}.png", title)
+        for name, figure in zip(names, figures, strict=False)
+        if figure is not None
+    ]
+
+
+def _has_norm(about: Evaluation, results: Iterable[Result]) -> bool:
+    """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
+    return about.norm is not None and (
+        about.kind == "pendulum" or all(about.norm in result.signals for result in results)
+    )
 
 
 def save_overview(result: Result, path: Path, title: str) -> Path:
-    """Write one figure with arm angle, pendulum angle, |q|, voltage and homogeneous norm of a single result."""
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    axes = figure.subplots(5, 1, sharex=True)
+    """Write the overview of a single result as a picture."""
+    return save_figure(overview(result), path, title)
+
+
+def overview(result: Result) -> Figure:
+    """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
+    about = evaluation_in(result)
+    has_norm = _has_norm(about, [result])
+    groups = about.error_groups if len(about.errors) > 1 else {}
+    count = len(about.errors) + len(groups) + len(about.controls) + has_norm
+    figure = Figure(figsize=(9, 1.8 * max(count, 2)), layout="constrained")
+    axes = iter(all_axes := figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     colour = COLOURS.get(law_of(result), COLOURS["IHC"])
-    for axis in axes:
+    for axis in all_axes:
         _shade_modes(axis, result)
         axis.margins(x=0)
-    for axis, name in zip(axes[:2], ("theta", "delta"), strict=True):
-        axis.plot(result.time, angle(result, name), color=colour, lw=1.0)
-    positive(axes[2], result.time, angle_norm(result), colour)
-    axes[3].plot(result.time, result["controller.voltage"], color=colour, lw=1.0, drawstyle="steps-pre")
-    positive(axes[4], result.time, _homogeneous_norm(result), colour)
-    for axis, label in zip(axes, (THETA, DELTA, Q, VOLTAGE, NORM), strict=True):
-        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    for error, axis in zip(about.errors, axes):  # noqa: B905 - the axes go on
+        _draw_error(axis, result, error, colour)
+        axis.set_ylabel(label(error))
+    for suffix, group in groups.items():
+        positive(axis := next(axes), result.time, error_norm(result, about, group), colour)
+        axis.set_ylabel(norm_label(about, suffix))
+    for control in about.controls:
+        axis = next(axes)
+        axis.plot(result.time, result[control.signal], color=colour, lw=1.0, drawstyle="steps-pre")
+        axis.set_ylabel(label(control))
+    if has_norm:
+        positive(axis := next(axes), result.time, result[about.norm or ""], colour)
+        axis.set_ylabel(NORM)
+    all_axes[-1].set_xlabel("time [s]")
+    figure.align_ylabels(all_axes)
+    _mode_legend(figure, [result])
+    return figure
+
+
+def panels_of(result: Result, names: Sequence[str]) -> Figure:
+    """Return one figure with a panel for each of the signals `names`; raise UserError for one that is not there."""
+    figure = Figure(figsize=(9, 1.8 * max(len(names), 2)), layout="constrained")
+    axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, name in zip(axes, names, strict=True):
+        axis.plot(result.time, result[name], color=COLOURS["LC"], lw=1.0)
+        axis.set_ylabel(label(ControlSignal(signal=name, unit=result.units.get(name, NO_UNIT))))
+        axis.margins(x=0)
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
     figure.align_ylabels(axes)
-    _mode_legend(figure, [result])
-    return save_figure(figure, path, title)
+    return figure
 
 
 def positive(axis: Any, time: np.ndarray, signal: np.ndarray, colour: str, label: str | None = None) -> None:
@@ -111,41 +201,57 @@ def save_figure(figure: Figure, path: Path, title: str) -> Path:
     return path
 
 
-def literal(text: str) -> str:
-    """Return a user's text such that Matplotlib draws its dollar signs instead of setting formulas between them."""
-    return text.replace("$", r"\$")
-
-
 def angle(result: Result, name: str) -> np.ndarray:
     """Return theta or delta [rad] to draw, measured where the true one is missing; delta wrapped, with gaps at its jumps."""
-    signal = result[f"plant.{name}"] if f"plant.{name}" in result.signals else result[f"plant.{name}_encoder"]
-    if name == "theta":
+    errors = pendulum_evaluation(result.signals).errors
+    return _drawn(result, errors[("theta", "delta").index(name)])
+
+
+def _drawn(result: Result, error: ErrorSignal) -> np.ndarray:
+    """Return a judged signal to draw, as the controller is given it; an angle wrapped, with gaps at its jumps."""
+    signal = result[error.signal]
+    if error.factor != 1.0 or error.offset != 0.0:
+        signal = error.factor * signal + error.offset
+    if not error.wraps:
         return signal
     drawn = wrapped(signal)
     drawn[1:][np.abs(np.diff(drawn)) > np.pi] = np.nan  # no line across the jump from pi to -pi
     return drawn
 
 
-def _homogeneous_norm(result: Result) -> np.ndarray:
-    return result["controller.homogeneous_norm"]
+def _draw_error(
+    axis: Any, result: Result, error: ErrorSignal, colour: str, name: str | None = None, begin: float = 0.0
+) -> None:
+    """Draw a judged signal from a share of the run on, and its set-point where it has one."""
+    shown = result.time >= begin * result.time[-1]
+    axis.plot(result.time[shown], _drawn(result, error)[shown], color=colour, lw=1.0, label=name)
+    point = error.set_point
+    if point is not None:
+        axis.plot(result.time[shown], result[point][shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
+    elif error.constant:
+        axis.axhline(error.constant, color="0.3", lw=0.8, ls="--")
 
 
-def _angles(results: Mapping[str, Result]) -> Figure:
-    """Return both angles of each result: on the left the whole run, on the right its end, each with its own scale."""
-    figure = Figure(figsize=(11, 6.8), layout="constrained")
-    ratios = [8, 8, 0.7 * len(results)]
-    panels = figure.subplots(3, 2, sharex="col", height_ratios=ratios, width_ratios=[3, 2])
+def _errors(results: Mapping[str, Result], about: Evaluation) -> Figure:
+    """Return what is judged of each result: on the left the whole run, on the right its end, each with its own scale."""
+    count, ribbon = len(about.errors), about.mode is not None
+    figure = Figure(figsize=(11, 2.9 * count + 1.0), layout="constrained")
+    ratios = [*[8] * count, *[0.7 * len(results)] * ribbon]
+    panels = figure.subplots(count + ribbon, 2, sharex="col", height_ratios=ratios, width_ratios=[3, 2], squeeze=False)
     shades = colours(results)
     end = max(float(result.time[-1]) for result in results.values())
     for column, begin in enumerate((0.0, LATE)):
-        for axis, name, label in zip(panels[:2, column], ("theta", "delta"), (THETA, DELTA), strict=True):
+        for axis, error in zip(panels[:count, column], about.errors, strict=True):
             for law, result in results.items():
-                shown = result.time >= begin * result.time[-1]
-                axis.plot(result.time[shown], angle(result, name)[shown], color=shades[law], lw=1.0, label=law)
+                _draw_error(axis, result, error, shades[law], law, begin)
             axis.grid(alpha=0.3)
             if column == 0:
-                axis.set_ylabel(label)
-        _ribbon(panels[2, column], results, (begin * end, end))
+                axis.set_ylabel(label(error))
+        if ribbon:
+            _ribbon(panels[count, column], results, (begin * end, end))
+        else:
+            panels[-1, column].set_xlabel("time [s]")
+            panels[-1, column].set_xlim(begin * end, end)
     panels[0, 1].set_title(f"from {LATE * end:g} s on", fontsize="small")
     panels[0, 0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(results), frameon=False)
     figure.align_ylabels(panels[:, 0])
@@ -153,68 +259,105 @@ def _angles(results: Mapping[str, Result]) -> Figure:
     return figure
 
 
-def _logarithmic(results: Mapping[str, Result], signal: Any, label: str) -> Figure:
-    figure, (axis,), ribbon = _with_ribbon(1, results)
+def _logarithmic(results: Mapping[str, Result], curves: Sequence[tuple[str, Any]]) -> Figure:
+    """Return a panel for each (label, signal of a result) on a logarithmic axis."""
+    figure, axes, ribbon = _with_ribbon(len(curves), results)
     shades = colours(results)
-    for law, result in results.items():
-        positive(axis, result.time, signal(result), shades[law], law)
-    axis.set_ylabel(label)
-    axis.grid(alpha=0.3)
-    if axis.get_legend_handles_labels()[0]:
-        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
-    _finish(figure, ribbon, results)
+    for axis, (text, signal) in zip(axes, curves, strict=True):
+        for law, result in results.items():
+            positive(axis, result.time, signal(result), shades[law], law)
+        axis.set_ylabel(text)
+        axis.grid(alpha=0.3)
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(results), frameon=False)
+    _finish(figure, axes, ribbon, results)
     return figure
 
 
-def _voltage(results: Mapping[str, Result]) -> Figure:
-    figure, axes, ribbon = _with_ribbon(len(results), results)
+def _controls(results: Mapping[str, Result], about: Evaluation) -> Figure | None:
+    """Return a panel for each result and control; None where nothing is controlled."""
+    if not about.controls:
+        return None
+    figure, axes, ribbon = _with_ribbon(len(results) * len(about.controls), results)
     shades = colours(results)
-    for axis, (law, result) in zip(axes, results.items(), strict=True):
+    pairs = [(law, result, control) for law, result in results.items() for control in about.controls]
+    for axis, (law, result, control) in zip(axes, pairs, strict=True):
         _shade_modes(axis, result)
-        axis.plot(result.time, result["controller.voltage"], color=shades[law], lw=0.7, drawstyle="steps-pre")
-        axis.set_ylabel(f"{law} [V]")
+        axis.plot(result.time, result[control.signal], color=shades[law], lw=0.7, drawstyle="steps-pre")
+        unit = "" if control.unit == NO_UNIT else f" [{literal(control.unit)}]"
+        axis.set_ylabel(f"{law}{unit}" if about.kind == "pendulum" else f"{law}\n{label(control)}")
         axis.grid(alpha=0.3)
-    _finish(figure, ribbon, results)
+    _finish(figure, axes, ribbon, results)
     return figure
 
 
 def _with_ribbon(panels: int, results: Mapping[str, Result]) -> tuple[Figure, Sequence[Any], Any]:
-    """Return a figure, its panels, and a narrow axis below them that shows each result's modes."""
+    """Return a figure, its panels, and, where results have modes, a narrow axis below them that shows each one's."""
     figure = Figure(figsize=(9, 2.6 * panels + 1.6 if panels > 1 else 4.6), layout="constrained")
-    ratios = [*[8] * panels, 0.7 * len(results)]
-    *axes, ribbon = figure.subplots(panels + 1, 1, sharex=True, height_ratios=ratios)
-    return figure, axes, ribbon
+    modes = any(evaluation_in(result).mode is not None for result in results.values())
+    ratios = [*[8] * panels, *[0.7 * len(results)] * modes]
+    axes = list(figure.subplots(panels + modes, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0])
+    return figure, axes[:panels], axes[panels] if modes else None
 
 
-def _finish(figure: Figure, ribbon: Any, results: Mapping[str, Result]) -> None:
-    _ribbon(ribbon, results, (0.0, max(float(result.time[-1]) for result in results.values())))
+def _finish(figure: Figure, axes: Sequence[Any], ribbon: Any, results: Mapping[str, Result]) -> None:
+    end = max(float(result.time[-1]) for result in results.values())
+    if ribbon is not None:
+        _ribbon(ribbon, results, (0.0, end))
+    else:
+        axes[-1].set_xlabel("time [s]")
+        axes[-1].set_xlim(0.0, end)
     _mode_legend(figure, list(results.values()))
 
 
 def _ribbon(axis: Any, results: Mapping[str, Result], limits: tuple[float, float]) -> None:
     """Draw a row of modes for each result."""
     for row, result in enumerate(results.values()):
+        shades = mode_colours(result)
         for mode, start, end in mode_spans(result):
-            axis.broken_barh([(start, end - start)], (-row - 0.4, 0.8), color=MODE_COLOURS[mode])
+            axis.broken_barh([(start, end - start)], (-row - 0.4, 0.8), color=shades.get(mode, UNKNOWN))
     axis.set_yticks([-row for row in range(len(results))], list(results))
     axis.set_xlabel("time [s]")
     axis.set_xlim(*limits)
 
 
+def mode_names(result: Result) -> dict[int, str]:
+    """Return the names of the controller's modes by their values, as people write them; none where it has no modes."""
+    mode = evaluation_in(result).mode
+    return {} if mode is None else {value: name.replace("_", "-") for value, name in mode.names.items()}
+
+
+def mode_colours(result: Result) -> dict[int, str]:
+    """Return a colour for each mode of the controller: a usual mode's own, others in turn."""
+    mode, others = evaluation_in(result).mode, itertools.cycle(OTHER_MODES)
+    named = {} if mode is None else mode.names
+    return {value: MODE_COLOURS[name] if name in MODE_COLOURS else next(others) for value, name in named.items()}
+
+
 def mode_spans(result: Result) -> list[tuple[int, float, float]]:
-    """Return (mode, start, end) [s] of each stretch of time in one mode."""
-    mode, time = result["controller.mode"], result.time
+    """Return (mode, start, end) [s] of each stretch of time in one mode; none where the controller has no modes."""
+    about = evaluation_in(result).mode
+    if about is None:
+        return []
+    mode, time = result[about.signal], result.time
     starts = np.concatenate([[0], np.flatnonzero(np.diff(mode)) + 1])
     ends = np.concatenate([starts[1:], [len(time) - 1]])
     return [(int(mode[a]), float(time[a]), float(time[b])) for a, b in zip(starts, ends, strict=True)]
 
 
 def _shade_modes(axis: Any, result: Result) -> None:
+    shades = mode_colours(result)
     for mode, start, end in mode_spans(result):
-        axis.axvspan(start, end, color=MODE_COLOURS[mode], alpha=0.45, lw=0)
+        axis.axvspan(start, end, color=shades.get(mode, UNKNOWN), alpha=0.45, lw=0)
 
 
 def _mode_legend(figure: Figure, results: Sequence[Result]) -> None:
-    seen = sorted({mode for result in results for mode, start, end in mode_spans(result) if end - start > 0.01})
-    handles = [Patch(color=MODE_COLOURS[mode], label=MODE_NAMES[mode]) for mode in seen]
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize="small")
+    seen = {
+        (mode, mode_names(result).get(mode, str(mode)), mode_colours(result).get(mode, UNKNOWN))
+        for result in results
+        for mode, start, end in mode_spans(result)
+        if end - start > 0.01
+    }
+    if seen:
+        handles = [Patch(color=shade, label=literal(name)) for _, name, shade in sorted(seen)]
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, fontsize="small")

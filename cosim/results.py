@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic_core import to_json
@@ -25,6 +25,10 @@ from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError
 from .room import check_memory
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 FORMAT = "qube-ihc result 2"
 EARLIER_FORMATS = ("qube-ihc result 1",)
@@ -65,6 +69,34 @@ class Result:
             return self.signals[name]
         except KeyError:
             raise UserError(f"the result has no signal {name!r}; it has {', '.join(self.signals)}") from None
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the table with the time [s] as its index and a column for each signal; `attrs` has units and metadata.
+
+        Raises UserError where pandas is not installed.
+        """
+        try:
+            import pandas  # noqa: PLC0415 - optional
+        except ImportError:
+            raise UserError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
+        table = pandas.DataFrame(dict(self.signals), index=pandas.Index(self.time, name="time"))
+        table.attrs |= {"units": dict(self.units), "metadata": self.metadata}
+        return table
+
+    def plot(self, *names: str) -> Figure:
+        """Return a Matplotlib figure with a panel for each of the signals `names`.
+
+        Without names: the overview of what the run is judged by, or of all signals where it cannot be judged. Raises
+        UserError for a signal that is not there, or a result without rows.
+        """
+        from .metrics import can_draw, can_evaluate  # noqa: PLC0415 - they need this module
+        from .plots import overview, panels_of  # noqa: PLC0415
+
+        if not len(self.time) or not self.signals:
+            raise UserError("a plot needs at least one row and one signal")
+        if not names and can_evaluate(self) and can_draw(self):
+            return overview(self)
+        return panels_of(self, names or tuple(self.signals))
 
     def save(self, path: Path) -> None:
         """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.

@@ -1,12 +1,14 @@
-"""Scenarios: one run's description, read from TOML with typed and checked contents, and the system that it means."""
+"""Scenarios: one run's description, read from TOML with typed and checked contents, and the system that it means.
+
+The same entries describe every system: components that are FMUs, wires, signals on inputs, what is judged and recorded.
+"""
 
 from __future__ import annotations
 
 import filecmp
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,38 +18,23 @@ from filing.origin import WRITTEN
 from fmu_export.files import is_file, is_folder
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
-from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
-from ihc_fmu.pendulum.interface import VELOCITY_SOURCES
-from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
-from . import parameter_files
+from . import parameter_files, pendulum, ssp, wiring
 from .errors import UserError
+from .evaluation import EvaluateSection, Evaluation, evaluation_of
+from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
+from .pendulum import WIRES, StartValue
 from .results import Result
-from .typed import Finite, Positive, checked
-
-SAMPLE_TIMES = next(v for v in CONTROLLER.variables if v.name == "sample_time").limits()
-"""Bounds of the controller's sample time [s]."""
+from .typed import Positive, checked
+from .wiring import CONTROLLER, PLANT, Variables, WireSection
 
 BUILT_IN = Path(__file__).parent / "scenarios"
 
-_VOLTAGE = Wire("controller.voltage", "plant.voltage")
-WIRES = {
-    "encoders": (
-        Wire("plant.theta_encoder", "controller.theta"),
-        Wire("plant.delta_encoder", "controller.delta"),
-        _VOLTAGE,
-    ),
-    "ideal": (
-        *(Wire(f"plant.{name}", f"controller.{name}") for name in ("theta", "delta", "theta_dot", "delta_dot")),
-        _VOLTAGE,
-    ),
-}
-"""How the two units are wired, by the measurement that the controller gets."""
-
-StartValue = bool | int | float | str
+NONE = "none"
+"""What TOML, which has no null, says for nothing."""
 
 
 class _Section(BaseModel):
@@ -62,6 +49,9 @@ class RunSection(_Section):
     order: Order = Field(
         "controller-first", description="coupling order: controller-first (no delay) or parallel (one step)"
     )
+    sequence: tuple[str, ...] | None = Field(
+        None, description="components in the order of stepping; none: the controller, then along the wires"
+    )
     engine: Engine = Field(
         "auto",
         description="loop: native (C) or fmpy (Python), to the same result; auto: native unless an FMU is Python",
@@ -71,43 +61,40 @@ class RunSection(_Section):
         ge=0,
         lt=2**31,
         strict=True,
-        description="draws the encoders' sub-count offsets and seeds the noise; none: the FMU's start values",
+        description="draws the encoders' sub-count offsets and seeds the noise; none: the plant FMU's start values",
     )
+
+
+_FMU = "name of a file in the folder given to the command or beside the scenario; no path; none: there is no such component"
 
 
 class PlantSection(_Section):
     """The plant FMU."""
 
-    fmu: PlainName = Field(
-        "QubeServo2.fmu",
-        description="name of a file in the folder given to the command or beside the scenario; no path",
-    )
+    fmu: PlainName = Field("QubeServo2.fmu", description=_FMU)
     parameters: str | None = Field(
         None,
-        description="none: the FMU's own start values; or a set that replaces them, by name: "
+        description="of the pendulum; none: the FMU's own start values; or a set that replaces them, by name: "
         f"{', '.join(PARAMETER_SETS)}; or of a file *.toml, beside the scenario or in the current folder",
     )
-    measurement: Literal["encoders", "ideal"] = Field(
-        "encoders", description="encoders: counted angles; ideal: the true state, velocities included"
+    measurement: Literal["encoders", "ideal"] | None = Field(
+        None,
+        description="of the pendulum; encoders, or none: counted angles; ideal: the true state, velocities included",
     )
     start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the plant FMU by name")
 
     @field_validator("parameters")
     @classmethod
     def _own(cls, value: str | None) -> str | None:
-        """Take the word that TOML, which has no null, says for it."""
-        return None if value == "none" else value
+        return None if value == NONE else value
 
 
 class ControllerSection(_Section):
     """The controller FMU."""
 
-    fmu: PlainName = Field(
-        "IhcController.fmu",
-        description="name of a file in the folder given to the command or beside the scenario; no path",
-    )
+    fmu: PlainName = Field("IhcController.fmu", description=_FMU)
     design: str | None = Field(
-        None, description="design file beside the scenario; none: the design exported in the FMU"
+        None, description="of the pendulum: design file beside the scenario; none: the design exported in the FMU"
     )
     other_model: bool = Field(
         False, description="true: run a controller that was designed for another model than the plant's all the same"
@@ -115,53 +102,21 @@ class ControllerSection(_Section):
     start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the controller FMU by name")
 
 
-class Sine(_Section):
-    """One term amplitude * sin(frequency t + phase)."""
+class ComponentSection(_Section):
+    """A further FMU."""
 
-    amplitude: Finite = Field(description="amplitude, in the unit of the disturbed input")
-    frequency: Finite = Field(description="angular frequency [rad/s]")
-    phase: Finite = Field(0.0, description="phase [rad]")
-
-
-class DisturbanceSection(_Section):
-    """A sum of sines times a gain on an input of the plant."""
-
-    input: Literal["disturbance_voltage", "pendulum_torque"] = Field(
-        "disturbance_voltage", description="input of the plant [V or N.m]"
+    fmu: PlainName = Field(
+        description="name of a file in the folder given to the command or beside the scenario; no path"
     )
-    gain: Finite = Field(1.0, description="factor of the whole sum, the paper's G [1]")
-    sines: tuple[Sine, ...] = Field((), description="terms of the sum")
-    start: Finite = Field(
-        0.0, description="time before which the disturbance is 0 [s]; the sines' phases count from t = 0"
-    )
-
-    def value(self, time: float) -> float:
-        """Return the disturbance at `time` [s]."""
-        if time < self.start:
-            return 0.0
-        return self.gain * sum(s.amplitude * math.sin(s.frequency * time + s.phase) for s in self.sines)
-
-
-@dataclass(frozen=True)
-class DisturbanceSignal(Signal):
-    """A disturbance as a signal: values ahead are computed once for all runs with the same disturbance and step."""
-
-    section: DisturbanceSection
-
-    def ahead(self, start_time: float, step: float, first: int, count: int) -> Sequence[float]:
-        """Return the values at start_time + k step for `count` steps from `first` on."""
-        return _ahead(self.section, start_time, step, first, count)  # type: ignore[arg-type] # frozen, so hashable
-
-
-@lru_cache(maxsize=256)
-def _ahead(section: DisturbanceSection, start_time: float, step: float, first: int, count: int) -> tuple[float, ...]:
-    return tuple(section.value(start_time + k * step) for k in range(first, first + count))
+    start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the FMU by name")
 
 
 class RecordSection(_Section):
     """What is kept."""
 
-    outputs: tuple[str, ...] | None = Field(None, description="outputs as instance.variable; none: all")
+    outputs: tuple[str, ...] | None = Field(
+        None, description="outputs, and inputs with a signal, as component.variable; none: all"
+    )
     every: int = Field(
         1, ge=1, strict=True, description="keep every n-th communication point, and the first and the last"
     )
@@ -172,28 +127,46 @@ class Scenario(_Section):
 
     name: PlainName = "scenario"
     description: str = ""
+    wires: tuple[WireSection, ...] | None = None
     run: RunSection = RunSection()  # type: ignore[call-arg]
     plant: PlantSection = PlantSection()  # type: ignore[call-arg]
     controller: ControllerSection = ControllerSection()  # type: ignore[call-arg]
+    components: dict[str, ComponentSection] = {}
     disturbance: DisturbanceSection = DisturbanceSection()  # type: ignore[call-arg]
+    signals: tuple[SignalSection, ...] = ()
+    evaluate: EvaluateSection = EvaluateSection()  # type: ignore[call-arg]
     record: RecordSection = RecordSection()  # type: ignore[call-arg]
+
+    @field_validator("components")
+    @classmethod
+    def _further(cls, value: dict[str, ComponentSection]) -> dict[str, ComponentSection]:
+        for name in value:
+            if not (name.isascii() and name.isidentifier()) or name in (CONTROLLER, PLANT):
+                raise ValueError(
+                    f"must have names of letters, digits and underscores other than controller and plant, found {name!r}"
+                )
+        return value
+
+    @property
+    def parts(self) -> dict[str, PlantSection | ControllerSection | ComponentSection]:
+        """The sections of the components that there are, by their names."""
+        both = {CONTROLLER: self.controller, PLANT: self.plant}
+        return {name: part for name, part in both.items() if part.fmu != NONE} | self.components
 
     def changed(self, changes: Mapping[str, Any]) -> Scenario:
         """Return the scenario with entries replaced, each named `section.entry` or `section.start.variable`.
 
-        Raises UserError for a name that does not exist or a value outside its rule.
+        Entries of lists are named by their numbers from 0 on. Raises UserError for a name that does not exist or a value
+        outside its rule.
         """
         data = self.model_dump()
         for path, value in changes.items():
-            *parents, last = path.split(".")
+            *parents, last = _parted(path)
             place: Any = data
             for parent in parents:
-                if not isinstance(place, dict) or parent not in place:
-                    raise UserError(f"the scenario has no entry {path!r}{did_you_mean(parent, place)}")
-                place = place[parent]
-            if not isinstance(place, dict):
-                raise UserError(f"the scenario has no entry {path!r}")
-            place[last] = value
+                place = _inside(place, parent, path)
+            _inside(place, last, path, new=True)
+            place[int(last) if isinstance(place, list) else last] = value
         return _validated(data, self.name)
 
     def to_toml(self) -> str:
@@ -203,17 +176,42 @@ class Scenario(_Section):
         return f"# {WRITTEN}\n" + tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
 
 
+def _parted(path: str) -> list[str]:
+    """Return the parts of an entry's name; behind `start` stands a variable, whose name may have dots in it."""
+    parts = path.split(".")
+    begin = 3 if parts[0] == "components" else 2
+    if len(parts) > begin and parts[begin - 1] == "start":
+        return [*parts[:begin], ".".join(parts[begin:])]
+    return parts
+
+
+def _inside(place: Any, name: str, path: str, *, new: bool = False) -> Any:
+    """Return the entry `name` of a table or list; with `new` a table need not have it yet."""
+    if isinstance(place, dict):
+        if name in place or new:
+            return place.get(name)
+        raise UserError(f"the scenario has no entry {path!r}{did_you_mean(name, place)}")
+    if isinstance(place, list) and name.isdigit() and int(name) < len(place):
+        return place[int(name)]
+    raise UserError(f"the scenario has no entry {path!r}")
+
+
 def built_in_names() -> list[str]:
     """Return the names of the scenarios that come with the project."""
     return sorted(file.stem for file in BUILT_IN.glob("*.toml"))
 
 
 def load_scenario(name: str) -> tuple[Scenario, Path]:
-    """Return (scenario, its folder) from a TOML file, or a built-in one by its name.
+    """Return (scenario, its folder) from a TOML file or an SSP file, or a built-in one by its name.
+
+    The folder of an SSP file is where its FMUs were unpacked.
 
     Raises UserError that names the file, the entry, the rule and the value.
     """
     path = Path(name)
+    if path.suffix == ssp.SUFFIX:
+        data, folder = ssp.read(path)
+        return _validated({"name": path.stem, **data}, str(path)), folder
     if not path.suffix and not is_file(path):  # a folder `paper` does not hide the scenario `paper`
         if name in built_in_names():
             path = BUILT_IN / f"{name}.toml"
@@ -234,82 +232,17 @@ def _validated(data: dict[str, Any], source: str) -> Scenario:
     return scenario
 
 
-def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
-    """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
+@dataclass(frozen=True)
+class Files:
+    """The paths of a scenario's files: FMUs by component, the controller's design, tables of signals by their names."""
 
-    `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
-    does not say is as it was exported. Raises UserError for files that do not exist or say what cannot
-    be, designs that fail their certificate, and a controller that was designed for another model than the plant's.
-    """
-    plant_start: dict[str, StartValue] = {}
-    if scenario.plant.parameters is not None:
-        plant_start |= plant_start_values(parameter_files.chosen(scenario.plant.parameters, folder))
-    if scenario.run.seed is not None:
-        plant_start |= random_measurement(scenario.run.seed)
-    plant_fmu, controller_fmu, design = files(scenario, fmus, folder)
-    controller_fmu = controller or controller_fmu
-    components = (
-        Component("controller", controller_fmu, _controller_start(scenario, controller_fmu, design)),
-        Component("plant", plant_fmu, plant_start | scenario.plant.start),
-    )
-    if not scenario.controller.other_model:
-        _check_model(components)
-    signals = []
-    if scenario.disturbance.sines and scenario.disturbance.gain:
-        section = scenario.disturbance
-        signals.append(DisturbanceSignal(f"plant.{section.input}", section.value, section))
-    return System(
-        components=components,
-        wires=WIRES[scenario.plant.measurement],
-        signals=signals,
-    )
+    fmus: dict[str, Path]
+    design: Path | None
+    tables: dict[str, Path]
 
 
-def _controller_start(scenario: Scenario, fmu: Path, design: Path | None) -> dict[str, StartValue]:
-    """Return the controller's start values that the scenario decides, and those that follow from them."""
-    own = _own_values(fmu)
-    start: dict[str, StartValue] = {}
-    if own.get("sample_time") == CONTROLLER.step_size:  # not chosen at export
-        step, (low, high) = scenario.run.step, SAMPLE_TIMES
-        if not low <= step <= high and "sample_time" not in scenario.controller.start:
-            raise UserError(
-                f"run.step, as the controller's sample time, must lie in [{low:g}, {high:g}] s, found {step:g} s"
-            )
-        start["sample_time"] = step
-    if design is not None:
-        limit = scenario.controller.start.get("voltage_limit", own.get("voltage_limit"))
-        start |= _design_values(design, limit)
-    if scenario.plant.measurement == "ideal":
-        start["velocity_source"] = "inputs"
-    start |= scenario.controller.start
-    source = start.get("velocity_source", own.get("velocity_source"))
-    if source in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
-        start = _kalman_values(own, start) | start
-    return start
-
-
-def _check_model(components: Sequence[Component]) -> None:
-    """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
-    from .model_match import misfit  # noqa: PLC0415
-
-    problem = misfit(*_all_values(components))
-    if problem is not None:
-        raise UserError(f"{problem}; controller.other_model = true runs it all the same")
-
-
-def _all_values(components: Sequence[Component]) -> list[dict[str, StartValue]]:
-    return [{**_own_values(c.path), **c.start} for c in components]
-
-
-def remarks(system: System) -> list[str]:
-    """Return what is to be known of a system's controller on its plant, although they fit, see `model_match`."""
-    from .model_match import remarks as found  # noqa: PLC0415
-
-    return found(*_all_values(system.components))
-
-
-def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[Path, Path, Path | None]:
-    """Return the paths of the plant FMU, the controller FMU and, where the scenario has one, the design.
+def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Files:
+    """Return the paths of the files that a scenario names.
 
     An FMU is beside the scenario or in the folder `fmus`; raises UserError where both have it and they differ.
     """
@@ -325,10 +258,11 @@ def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> tuple[P
         return beside
 
     design = scenario.controller.design
-    return (
-        find(scenario.plant.fmu),
-        find(scenario.controller.fmu),
+    tables = [section.file for section in scenario.signals if isinstance(section, CsvSignal)]
+    return Files(
+        {name: find(part.fmu) for name, part in scenario.parts.items()},
         None if design is None else _beside_or_here(design, folder),
+        {file: _beside_or_here(file, folder) for file in tables},
     )
 
 
@@ -338,12 +272,220 @@ def _beside_or_here(file: str, folder: Path | None) -> Path:
     return beside if is_file(beside) else Path(file)
 
 
-def random_measurement(seed: int) -> dict[str, StartValue]:
-    """Return encoder offsets drawn uniformly inside a count, and the noise's seed, for a seed of the run."""
+def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
+    """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
+
+    `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
+    does not say is as it was exported. Raises UserError for files that do not exist or say what cannot
+    be, designs that fail their certificate, and a controller that was designed for another model than the plant's.
+    """
+    return _Plan(scenario, fmus, folder, controller).system()
+
+
+def evaluation(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Evaluation | None:
+    """Return what the scenario's runs are judged by; None where that is the pendulum's.
+
+    Raises UserError for signals that the FMUs do not have.
+    """
+    return _Plan(scenario, fmus, folder).evaluation()
+
+
+class _Plan:
+    """A scenario with its files found and its FMUs' variables read."""
+
+    def __init__(
+        self, scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None
+    ) -> None:
+        self.scenario, self.folder = scenario, folder
+        self.files = files(scenario, fmus, folder)
+        self.paths = dict(self.files.fmus)
+        if controller is not None:
+            self.paths[CONTROLLER] = controller
+        if not self.paths:
+            raise UserError("a scenario needs at least one component")
+        self.own = {name: _own_values(path) for name, path in self.paths.items()}
+        self.swings = PLANT in self.own and pendulum.is_plant(self.own[PLANT])
+        self.balances = CONTROLLER in self.own and pendulum.is_controller(self.own[CONTROLLER])
+        self._refuse_what_is_the_pendulums()
+
+    @cached_property
+    def variables(self) -> dict[str, Variables]:
+        """The FMUs' variables by component and name."""
+        from .fmu import describe  # noqa: PLC0415
+
+        return {name: {v.name: v for v in describe(path)[1].modelVariables} for name, path in self.paths.items()}
+
+    @property
+    def measurement(self) -> str:
+        return self.scenario.plant.measurement or "encoders"
+
+    def _refuse_what_is_the_pendulums(self) -> None:
+        """Raise UserError for entries that mean nothing to the FMUs that there are."""
+        plant, controller = self.scenario.plant, self.scenario.controller
+        for entry, value, ours, unit in (
+            ("plant.parameters", plant.parameters, self.swings, "QubeServo2"),
+            ("plant.measurement", plant.measurement, self.swings, "QubeServo2"),
+            ("controller.design", controller.design, self.balances, "IhcController"),
+        ):
+            if value is not None and not ours:
+                fmu = self.scenario.parts.get(entry.partition(".")[0])
+                found = "there is none" if fmu is None else f"{fmu.fmu} is another FMU"
+                raise UserError(
+                    f"{entry} is for the FMU {unit}, and {found}; its values go under start, found {value!r}"
+                )
+        if plant.measurement is not None and self.scenario.wires is not None:
+            raise UserError(
+                "plant.measurement says how the pendulum is wired, and the wires are listed: give one of both"
+            )
+        seed, own = self.scenario.run.seed, {**self.own.get(PLANT, {}), **plant.start}
+        if seed is not None and not offsets(own) and "noise_seed" not in own:
+            raise UserError(
+                f"run.seed draws the plant's offsets (*{OFFSETS[0]}, *{OFFSETS[1]}) and seeds its noise (noise_seed), which "
+                f"this plant has not, found {seed}"
+            )
+
+    def system(self) -> System:
+        wires = self.wires()
+        started = {name: self._start(name) for name in self.paths}
+        signals = self.signals()
+        if CONTROLLER in self.paths and wires not in WIRES.values():
+            self._check_fed(wires, signals, started[CONTROLLER])
+        names = self._sequence(wires)
+        components = tuple(Component(name, self.paths[name], started[name]) for name in names)
+        system = System(components=components, wires=wires, signals=signals)
+        if not self.scenario.controller.other_model:
+            _check_model(system)
+        return system
+
+    def wires(self) -> tuple[Wire, ...]:
+        if self.scenario.wires is not None:
+            return tuple(section.wire() for section in self.scenario.wires)
+        if not {CONTROLLER, PLANT} <= self.paths.keys():
+            return ()
+        if self.swings and self.balances:
+            return WIRES[self.measurement]
+        given = wiring.outputs(self.variables[PLANT])
+        measured = pendulum.measured(given, self.measurement) if self.swings else {name: name for name in given}
+        return tuple(wiring.by_names(self.variables[CONTROLLER], self.variables[PLANT], measured))
+
+    def signals(self) -> list[Signal]:
+        found = []
+        disturbance = self.scenario.disturbance
+        if disturbance.sines and disturbance.gain:
+            target = f"{PLANT}.{disturbance.input or self._disturbed()}"
+            found.append(planned(target, disturbance, self._variable(target)))
+        for section in self.scenario.signals:
+            function = function_of(section, self.files.tables)
+            found.append(planned(section.input, function, self._variable(section.input), recorded=True))
+        return found
+
+    def _disturbed(self) -> str:
+        """Return the input that a disturbance acts on where the scenario does not say."""
+        inputs = wiring.inputs(self.variables[PLANT]) if PLANT in self.paths else []
+        if self.swings:
+            return "disturbance_voltage"
+        found = [name for name in inputs if name.endswith("_disturbance")]
+        if len(found) != 1:
+            raise UserError(f"disturbance.input must say which input of the plant, one of {', '.join(found or inputs)}")
+        return found[0]
+
+    def _variable(self, name: str) -> Any:
+        component, _, variable = name.partition(".")
+        return self.variables.get(component, {}).get(variable)
+
+    def _start(self, name: str) -> dict[str, StartValue]:
+        chosen = self.scenario.parts[name].start
+        if name == CONTROLLER and self.balances:
+            ideal = self.measurement if self.swings and self.scenario.wires is None else ""
+            step = self.scenario.run.step
+            return pendulum.controller_start(self.own[name], chosen, step, self.files.design, ideal)
+        if name == PLANT:
+            seed = self.scenario.run.seed
+            drawn = {} if seed is None else random_measurement({**self.own[name], **chosen}, seed)
+            return pendulum.plant_start(self.scenario.plant.parameters, self.folder) | drawn | chosen
+        return dict(chosen)
+
+    def _check_fed(self, wires: Sequence[Wire], signals: Sequence[Signal], start: Mapping[str, StartValue]) -> None:
+        targets = [*(w.target for w in wires), *(s.target for s in signals)]
+        fed = {target.removeprefix(f"{CONTROLLER}.") for target in targets} | start.keys()
+        if self.balances:
+            fed |= {*pendulum.RATES}  # read only where velocity_source says so
+        wiring.check_fed(self.variables[CONTROLLER], fed, listed=self.scenario.wires is not None)
+
+    def _sequence(self, wires: Sequence[Wire]) -> Sequence[str]:
+        chosen, names = self.scenario.run.sequence, list(self.paths)
+        if chosen is None:
+            return wiring.sequence(names, wires)
+        if sorted(chosen) != sorted(names):
+            raise UserError(
+                f"run.sequence must name each component once: {', '.join(names)}, found {', '.join(chosen)}"
+            )
+        return chosen
+
+    def evaluation(self) -> Evaluation | None:
+        section = self.scenario.evaluate
+        usual = set(self.wires()) in (set(wires) for wires in WIRES.values())
+        if self.swings and self.balances and usual and section == EvaluateSection():  # type: ignore[call-arg]
+            return None
+        angles = [f"{PLANT}.{name}" for name in pendulum.ANGLES] if self.swings else []
+        start = {name: {**own, **self.scenario.parts[name].start} for name, own in self.own.items()}
+        return evaluation_of(section, self.variables, start, self.wires(), self.signals(), angles)
+
+
+OFFSETS = ("_encoder_offset", "_resolution_offset")
+"""How the names of parameters end that say where inside a count a sensor was zeroed, in counts.
+
+A sensor `y` whose parameter `y_resolution` is 0 does not count, so that its offset means nothing.
+"""
+
+
+def random_measurement(own: Mapping[str, StartValue], seed: int) -> dict[str, StartValue]:
+    """Return encoder offsets drawn uniformly inside a count, and the noise's seed, for a seed of the run.
+
+    `own` are all start values of the plant; nothing is drawn of one that has neither.
+    """
     import numpy as np  # noqa: PLC0415
 
-    theta, delta = np.random.default_rng(seed).random(2)
-    return {"theta_encoder_offset": float(theta), "delta_encoder_offset": float(delta), "noise_seed": seed}
+    names = offsets(own)
+    values = np.random.default_rng(seed).random(len(names))
+    found: dict[str, StartValue] = {name: float(value) for name, value in zip(names, values, strict=True)}
+    return found | ({"noise_seed": seed} if "noise_seed" in own else {})
+
+
+def offsets(own: Mapping[str, StartValue]) -> list[str]:
+    """Return the names of the offsets of a plant's sensors that count, in the order of its variables."""
+    return [name for name in own if name.endswith(OFFSETS) and own.get(name.removesuffix("_offset")) != 0.0]
+
+
+def plant_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:
+    """Return all start values of the plant: the FMU's own and the scenario's; none where there is no plant."""
+    path = files(scenario, fmus, folder).fmus.get(PLANT)
+    return {} if path is None else {**_own_values(path), **scenario.plant.start}
+
+
+def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:
+    """Return the start values of the controller FMU's own; none where there is no controller."""
+    path = files(scenario, fmus, folder).fmus.get(CONTROLLER)
+    return {} if path is None else _own_values(path)
+
+
+def _check_model(system: System) -> None:
+    """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
+    from .model_match import judged_pair, misfit  # noqa: PLC0415
+
+    pair = judged_pair(system)
+    problem = None if pair is None else misfit(*pair)
+    if problem is not None:
+        raise UserError(f"{problem}; controller.other_model = true runs it all the same")
+
+
+def remarks(system: System) -> list[str]:
+    """Return what is to be known of a system's controller on its plant, although they fit, see `model_match`."""
+    from .model_match import judged_pair  # noqa: PLC0415
+    from .model_match import remarks as found  # noqa: PLC0415
+
+    pair = judged_pair(system)
+    return [] if pair is None else found(*pair)
 
 
 def run_scenario(
@@ -359,38 +501,23 @@ def run_scenario(
     """
     from .master import simulate  # noqa: PLC0415
 
-    run = scenario.run
+    run, plan = scenario.run, _Plan(scenario, fmus, folder)
+    judged = plan.evaluation()
     return simulate(
-        build_system(scenario, fmus, folder),
+        plan.system(),
         run.step,
         run.duration,
         run.order,
         engine=run.engine,
         record=scenario.record.outputs,
         every=scenario.record.every,
-        metadata={"scenario": scenario.model_dump(mode="json")},
+        metadata={
+            "scenario": scenario.model_dump(mode="json"),
+            **({} if judged is None else {"evaluation": judged.model_dump(mode="json")}),
+        },
         progress=progress,
         folder=target,
     )
-
-
-def _design_values(path: Path, voltage_limit: StartValue | None) -> dict[str, StartValue]:
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        raise UserError(f"design file {path} does not exist") from None
-    except OSError as error:
-        raise UserError(f"design file {path} cannot be read: {error.strerror}") from None
-    return _values_of(path, voltage_limit, status.st_mtime_ns, status.st_size)
-
-
-@lru_cache(maxsize=16)  # a design's proof takes longer than a run
-def _values_of(path: Path, voltage_limit: StartValue | None, _time: int, _size: int) -> dict[str, StartValue]:
-    from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
-    from ihc_fmu.pendulum.start_values import design_values  # noqa: PLC0415
-
-    design = Design.load(path)
-    return dict(design_values(design) if voltage_limit is None else design_values(design, None, float(voltage_limit)))
 
 
 def _own_values(fmu: Path) -> Mapping[str, StartValue]:
@@ -398,20 +525,3 @@ def _own_values(fmu: Path) -> Mapping[str, StartValue]:
     from .fmu import start_values_of  # noqa: PLC0415
 
     return start_values_of(fmu)
-
-
-def _kalman_values(own: Mapping[str, StartValue], start: Mapping[str, StartValue]) -> dict[str, StartValue]:
-    """Return the Kalman filter's gain for sample time and nominal model; nothing where the FMU's own is for them."""
-    values = {**own, **start}
-    nominal = {name: float(value) for name, value in values.items() if name.startswith("nominal_")}
-    time = float(values["sample_time"])
-    if own.get("kalman_sample_time") == time and nominal.items() <= own.items():
-        return {}
-    return _kalman_gain(tuple(nominal.items()), time)
-
-
-@lru_cache(maxsize=16)  # a Riccati equation
-def _kalman_gain(nominal: tuple[tuple[str, float], ...], sample_time: float) -> dict[str, StartValue]:
-    from ihc_fmu.pendulum.start_values import kalman_values  # noqa: PLC0415 - heavy
-
-    return dict(kalman_values(dict(nominal), sample_time))

@@ -1,8 +1,9 @@
 """Tuning of the IHC in simulation as the paper describes it: start as the LC, lower a_min while the measure improves.
 
 Section IV of the paper: step 1, a_min = b_max = 1, which is the LC; step 2, decrease a_min and, if necessary, increase
-b_max as long as this improves the control. Here it is done for each scale of P and each mu, against a measure that is named,
-in the measurement chain of a scenario, on the same draws of encoder offsets (a Sobol set) and noise for every point.
+b_max as long as this improves the control. Here it is done against a measure that is named, in the measurement chain of a
+scenario, on the same draws of encoder offsets (a Sobol set) and noise for every point. Any controller FMU with a law IHC,
+a_min and b_max is tuned; the pendulum's also for each scale of P and each mu, since its design is solved here.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,18 +25,19 @@ from ihc_fmu.pendulum.start_values import design_values
 from ihc_fmu.synthesis import Options, inverse_design
 
 from .campaign import Job, Journal, Numbers, run_numbers
-from .draws import Estimate, change, drawn, mean, rms_change, root_mean_square
+from .draws import Chance, Estimate, chance_of, change, drawn, mean, rms_change, root_mean_square
 from .errors import UserError
-from .experiments import UNSTEADY, check_outputs
-from .metrics import QUANTITIES, Quantity, evaluate, kept_upright
-from .plots import OTHERS, save_figure
+from .experiments import UNSTEADY, check_outputs, laws_of
+from .metrics import QUANTITIES, Quantity, evaluate, is_pendulum, kept_upright, quantities_of
+from .pendulum import is_controller
+from .plots import OTHERS, literal, save_figure
 from .results import Result
-from .scenario import Scenario, files
+from .scenario import Scenario, controller_values, evaluation, files, plant_values
 
-MEASURES = ("integral_q2", "steady_rms", "settling_time", "energy", "voltage_variation")
-"""Metrics to tune by: smaller is better."""
-
-CHATTERING = "voltage_variation"
+ROLES = ("integral", "rms", "settling", "energy", "variation")
+"""What can be tuned by: smaller is better."""
+MEASURES = tuple(q.name for role in ROLES for q in QUANTITIES.values() if q.role == role)
+"""The pendulum's metrics to tune by."""
 
 WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
 """What `save` writes."""
@@ -44,12 +47,19 @@ PURPOSE = "tuning: numbers 2"
 
 
 class Point(NamedTuple):
-    """What is tuned: mu, the scale of P as the largest |k x| on the unit ball [V], a_min, b_max."""
+    """What is tuned: mu, the scale of P as the largest |k x| on the unit ball [V], a_min, b_max.
 
-    mu: float
-    u_max: float
+    None for the first two: those of the controller FMU.
+    """
+
+    mu: float | None
+    u_max: float | None
     a_min: float
     b_max: float
+
+
+Family = tuple[float | None, float | None]
+"""mu and the scale of P, as in a Point."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +86,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A point's means over the draws in which it kept the pendulum upright, `kept` of `draws`.
+    """A point's means over the draws in which the law took over once and acted to the end, `kept` of `draws`.
 
     `measure` is infinite where fewer than half were kept, or the measure is one of a steady state that was not reached.
     A draw that never settles counts the run's duration. `over_linear`: the change of the measure over the LC's in the
@@ -100,7 +110,13 @@ class Tuning:
     outcomes: Mapping[Point, Outcome]
     stops: tuple[Point, ...]
     linear: Outcome
-    designs: Mapping[tuple[float, float], Design]
+    designs: Mapping[Family, Design | None]
+    quantities: Mapping[str, Quantity] = field(default_factory=lambda: QUANTITIES)
+
+    @property
+    def chattering(self) -> Quantity | None:
+        """The metric of chattering; None where the system has none for all its controls."""
+        return chattering_of(self.quantities)
 
     @property
     def best(self) -> Outcome:
@@ -108,50 +124,105 @@ class Tuning:
         return min((self.outcomes[point] for point in self.stops), key=lambda o: (o.measure, -o.point.a_min))
 
 
+def chattering_of(quantities: Mapping[str, Quantity]) -> Quantity | None:
+    """Return the one metric of chattering; None where there is none, or one for each of several units."""
+    found = [q for q in quantities.values() if q.role == "variation"]
+    return found[0] if len(found) == 1 else None
+
+
 @dataclass(frozen=True)
 class Problem:
     """What is tuned in: scenario, its folder, the FMUs, the linear controller's design, measure, limit, draws.
 
-    `most_chattering`: largest voltage variation relative to the LC's; infinite without a limit.
+    `design` is the pendulum's; None: that in the controller FMU, whose mu and scale of P stay. `measure` None: the integral
+    of |e|^2. `most_chattering`: largest variation of the controls relative to the LC's; infinite without a limit.
     """
 
     scenario: Scenario
     folder: Path
     fmus: Path
-    design: Design
-    measure: str = "integral_q2"
+    design: Design | None
+    measure: str | None = None
     most_chattering: float = math.inf
     draws: int = 16
 
     def __post_init__(self) -> None:
-        if self.measure not in MEASURES:
-            raise UserError(f"the measure must be one of {', '.join(MEASURES)}, found {self.measure!r}")
+        measures = [q.name for role in ROLES for q in self.quantities.values() if q.role == role]
+        if self.measure is None and measures:
+            object.__setattr__(self, "measure", measures[0])
+        if self.measure not in measures:
+            raise UserError(f"the measure must be one of {', '.join(measures)}, found {self.measure!r}")
         if not self.most_chattering > 0.0:
             raise UserError(f"the limit of chattering must be positive, found {self.most_chattering}")
+        if math.isfinite(self.most_chattering) and chattering_of(self.quantities) is None:
+            raise UserError("a limit of chattering needs controls of one unit; evaluate.controls says which count")
         if self.draws < 1:
             raise UserError(f"tuning needs at least one draw, found {self.draws}")
-        if self.design.psi or self.design.d_max:
+        if self.design is not None and (self.design.psi or self.design.d_max):
             raise UserError(
                 "tuning rescales P, which a design with the terms of Remark 3, psi and d_max, does not allow"
             )
-        fixed = sorted(_design_start(self.design).keys() & self.scenario.controller.start.keys())
+        decided = set() if self.design is None else _design_start(self.design).keys()
+        fixed = sorted(decided & self.scenario.controller.start.keys())
         if fixed:
             raise UserError(f"tuning decides controller.start.{fixed[0]} by its design; give the design with --design")
 
-    def designs(self, grid: Grid) -> dict[tuple[float, float], Design]:
-        """Return the design of each (mu, u_max), for the same A, b, k_lin and alpha."""
+    @cached_property
+    def quantities(self) -> Mapping[str, Quantity]:
+        """The system's metrics by name."""
+        if self.design is not None:
+            return QUANTITIES
+        judged = evaluation(self.scenario, self.fmus, self.folder)
+        return QUANTITIES if judged is None else quantities_of(judged)
+
+    @cached_property
+    def chance(self) -> Chance:
+        """What of the plant is drawn."""
+        return chance_of(plant_values(self.scenario, self.fmus, self.folder))
+
+    @property
+    def numbers(self) -> range:
+        """The draws' numbers: one where nothing is left to chance."""
+        return range(1, self.draws + 1 if self.chance else 2)
+
+    def families(self, grid: Grid) -> list[Family]:
+        """Return each mu and scale of P that is tried; those of the controller FMU where it keeps its design."""
+        return [(None, None)] if self.design is None else [(mu, u_max) for mu in grid.mu for u_max in grid.u_max]
+
+    def designs(self, grid: Grid) -> dict[Family, Design | None]:
+        """Return the design of each (mu, u_max), for the same A, b, k_lin and alpha; None for that in the FMU."""
         d = self.design
-        found = {}
+        if d is None:
+            return {(None, None): None}
+        found: dict[Family, Design | None] = {}
         for mu in grid.mu:
             solved = inverse_design(d.system, Options(mu=mu, alpha=d.alpha, u_max=1.0))
             found |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
         return found
 
-    def at(self, point: Point, design: Design) -> Scenario:
+    def at(self, point: Point, design: Design | None) -> Scenario:
         """Return the scenario with the IHC of a point."""
-        values = {"law": "IHC", **_design_start(design), "a_min": point.a_min, "b_max": point.b_max}
-        changes = {f"controller.start.{name}": value for name, value in values.items()}
-        return self.scenario.changed({**changes, "controller.design": None, "record.every": 1})
+        own = {} if design is None else _design_start(design)
+        values = {"law": "IHC", **own, "a_min": point.a_min, "b_max": point.b_max}
+        changes: dict[str, object] = {f"controller.start.{name}": value for name, value in values.items()}
+        if design is not None:
+            changes["controller.design"] = None
+        return self.scenario.changed({**changes, "record.every": 1})
+
+    def check_tunable(self) -> None:
+        """Raise UserError for a controller without a law IHC or its bounds."""
+        if "IHC" not in laws_of(self.scenario, self.fmus, self.folder):
+            raise UserError("tuning needs a controller whose `law` can be IHC")
+        own = controller_values(self.scenario, self.fmus, self.folder)
+        missing = [name for name in ("a_min", "b_max") if name not in own]
+        if missing:
+            raise UserError(
+                f"tuning needs a controller with the parameters a_min and b_max, found none named {missing[0]}"
+            )
+        if self.design is not None and not is_controller(own):
+            raise UserError(
+                "a design file is for the pendulum's controller; another keeps the design that it was exported with"
+            )
 
 
 def _design_start(design: Design) -> dict[str, Value]:
@@ -171,7 +242,8 @@ def tune(
     Raises UserError where the LC itself does not keep the pendulum upright, and what a design or a run raises.
     """
     say = progress or (lambda _what, _done, _total: None)
-    families = [(mu, u_max) for mu in grid.mu for u_max in grid.u_max]
+    problem.check_tunable()
+    families = problem.families(grid)
     designs = problem.designs(grid)
     outcomes: dict[Point, Outcome] = {}
     runs: dict[Point, list[Numbers]] = {}
@@ -180,22 +252,23 @@ def tune(
 
     def run(what: str, points: Iterable[Point]) -> None:
         jobs = [
-            Job((point, draw), drawn(scenario, draw), problem.folder)
+            Job((point, draw), drawn(scenario, draw, problem.chance), problem.folder)
             for point in points
             if point not in outcomes
             for scenario in [problem.at(point, designs[point.mu, point.u_max])]
-            for draw in range(1, problem.draws + 1)
+            for draw in problem.numbers
         ]
         found = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
         for point in dict.fromkeys(key[0] for key in found):
-            runs[point] = [found[point, draw] for draw in range(1, problem.draws + 1)]
+            runs[point] = [found[point, draw] for draw in problem.numbers]
             outcomes[point] = _outcome(point, runs[point], runs[start], problem)
 
     down = sorted(grid.a_min, reverse=True)
     run("lowering a_min", (Point(*family, a_min, 1.0) for family in families for a_min in down))
     linear = outcomes[start]
     if not math.isfinite(linear.measure):
-        kept = f"keeps the pendulum upright in {linear.kept} of {linear.draws} draws"
+        acts = "keeps the pendulum upright" if is_pendulum(problem.quantities) else "acts to the end"
+        kept = f"{acts} in {linear.kept} of {linear.draws} draws"
         why = kept if 2 * linear.kept < linear.draws else f"has no {problem.measure} yet at the end of a run"
         raise UserError(f"tuning starts from the LC, which in this scenario {why}")
     if not linear.steady and math.isfinite(problem.most_chattering):
@@ -205,7 +278,8 @@ def tune(
     up = sorted(grid.b_max)
     run("raising b_max", (point._replace(b_max=b_max) for point in lowest for b_max in up))
     stops = tuple(_walk([outcomes[p._replace(b_max=b_max)] for b_max in up], most).point for p in lowest)
-    return Tuning(problem.measure, outcomes, stops, linear, designs)
+    assert problem.measure is not None
+    return Tuning(problem.measure, outcomes, stops, linear, designs, problem.quantities)
 
 
 def numbers(result: Result) -> dict[str, float]:
@@ -213,7 +287,7 @@ def numbers(result: Result) -> dict[str, float]:
     metrics = evaluate(result)
     values = metrics.as_dict()
     return {
-        **{name: float(values[name]) for name in MEASURES},
+        **{q.name: float(values[q.name]) for q in metrics.quantities.values() if q.role in ROLES},
         "kept": float(kept_upright(result)),
         "steady": float(metrics.steady),
         "duration": float(result.time[-1] - result.time[0]),
@@ -222,7 +296,7 @@ def numbers(result: Result) -> dict[str, float]:
 
 def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: Problem) -> Outcome:
     """Return the outcome of a point from the numbers of its draws and the LC's of the same draws."""
-    q = QUANTITIES[problem.measure]
+    q = problem.quantities[problem.measure or ""]
     kept = [draw for draw in draws if draw.get("kept")]
     both = [(a, b) for a, b in zip(draws, linear, strict=True) if a.get("kept") and b.get("kept")]
     steady = sum(not draw["steady"] for draw in kept) <= UNSTEADY * len(kept)
@@ -234,7 +308,8 @@ def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], 
     pairs = np.array([[_number(draw, q) for draw in pair] for pair in both]).reshape(-1, 2)
     over = (rms_change if rms else change)(pairs[:, 0], pairs[:, 1])
     never = q.never and all(math.isnan(draw[q.name]) for draw in kept)
-    chattering = float(np.mean([draw[CHATTERING] for draw in kept]))
+    variation = chattering_of(problem.quantities)
+    chattering = math.nan if variation is None else float(np.mean([draw[variation.name] for draw in kept]))
     return Outcome(point, math.inf if never else measure, chattering, len(kept), len(draws), steady, over)
 
 
@@ -256,65 +331,96 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
 def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
-    FMUs that lie beside the tuned scenario are copied beside the new one.
+    FMUs and tables that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
+    point is a scenario only.
     """
-    lines = ["mu,u_max,a_min,b_max," + f"{tuning.measure},over_lc,interval,{CHATTERING},kept,draws,stop"]
-    for point, o in sorted(tuning.outcomes.items(), key=lambda item: (item[0].mu, item[0].u_max, -item[0].a_min)):
-        over = (o.over_linear.value, o.over_linear.half_width)
-        row = (*point, o.measure, *over, o.chattering, o.kept, o.draws, int(point in tuning.stops))
-        lines.append(",".join(map(repr, row)))
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
-    own = {"controller.design": "best.json", "record.every": 1}
-    start = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
-    start = {f"controller.start.{name}": value for name, value in start.items()}
+    own: dict[str, object] = {"record.every": 1}
+    if design is not None:
+        own["controller.design"] = "best.json"
+    point: dict[str, object] = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
+    start = {f"controller.start.{name}": value for name, value in point.items()}
     scenario = problem.scenario.changed({**own, **start}).to_toml()
-    used = files(problem.scenario, problem.fmus, problem.folder)[:2]
-    fmus = [path for path in used if path.parent.absolute() != problem.fmus.absolute()]
+    used = files(problem.scenario, problem.fmus, problem.folder)
+    fmus = [path for path in used.fmus.values() if path.parent.absolute() != problem.fmus.absolute()]
+    drawn = f"means of {len(problem.numbers)} draws" if problem.chance else "one run each"
     title = (
-        f"{problem.scenario.name}: {QUANTITIES[tuning.measure].symbol} and chattering, means of {problem.draws} draws\n"
+        f"{problem.scenario.name}: {tuning.quantities[tuning.measure].symbol} and chattering, {drawn}\n"
         "square: where the rule stops; triangle: there with b_max raised"
     )
     with staging(folder) as place:
-        write_file(place / "tuning.csv", "\n".join(lines) + "\n")
-        for path in fmus:
+        write_file(place / "tuning.csv", _table(tuning))
+        for path in dict.fromkeys([*fmus, *used.tables.values()]):
             write_file(place / path.name, path.read_bytes())
         write_file(place / "best.toml", scenario)
-        design.save(place / "best.json")
+        if design is not None:
+            design.save(place / "best.json")
         save_figure(_landscape(tuning), place / "landscape.png", title)
-    return [folder / name for name in WRITTEN_FILES]
+    return [folder / name for name in WRITTEN_FILES if design is not None or name != "best.json"]
+
+
+def _table(tuning: Tuning) -> str:
+    """Return all points as CSV."""
+    variation = tuning.chattering
+    name = "variation" if variation is None else variation.name
+    lines = [f"mu,u_max,a_min,b_max,{_cell(tuning.measure)},over_lc,interval,{_cell(name)},kept,draws,stop"]
+    for point, o in sorted(tuning.outcomes.items(), key=lambda item: _order(item[0])):
+        over = (o.over_linear.value, o.over_linear.half_width)
+        row = (*point, o.measure, *over, o.chattering, o.kept, o.draws, int(point in tuning.stops))
+        lines.append(",".join("" if value is None else repr(value) for value in row))
+    return "\n".join(lines) + "\n"
+
+
+def _cell(name: str) -> str:
+    """Return a heading; names of FMUs may have commas, quotes and line breaks in them."""
+    return '"' + name.replace('"', '""') + '"' if set(name) & set(',"\r\n') else name
+
+
+def _order(point: Point) -> tuple[float, float, float]:
+    return (point.mu or 0.0, point.u_max or 0.0, -point.a_min)
 
 
 def _landscape(tuning: Tuning) -> Figure:
+    """Return the measure, and below it the chattering where the system has one, over a_min; a column for each mu."""
     mus = list(dict.fromkeys(point.mu for point in tuning.outcomes))
-    figure = Figure(figsize=(4.2 * len(mus) + 1, 7), layout="constrained")
-    panels = figure.subplots(2, len(mus), sharex=True, sharey="row", squeeze=False)
-    stops = {(p.mu, p.u_max): p for p in tuning.stops}
+    rows = {"measure": tuning.quantities[tuning.measure]}
+    if tuning.chattering is not None:
+        rows["chattering"] = tuning.chattering
+    figure = Figure(figsize=(4.2 * len(mus) + 1, 3.5 * len(rows)), layout="constrained")
+    panels = figure.subplots(len(rows), len(mus), sharex=True, sharey="row", squeeze=False)
     for column, mu in enumerate(mus):
-        for number, u_max in enumerate(dict.fromkeys(p.u_max for p in tuning.outcomes)):
-            curve = sorted(
-                (o for p, o in tuning.outcomes.items() if (p.mu, p.u_max, p.b_max) == (mu, u_max, 1.0)),
-                key=lambda o: -o.point.a_min,
-            )
-            stop, colour = tuning.outcomes[stops[mu, u_max]], OTHERS[number % len(OTHERS)]
-            for row, name in enumerate(("measure", "chattering")):
-                axis = panels[row, column]
-                values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
-                a_mins = [o.point.a_min for o in curve]
-                label = f"|k x| ≤ {u_max:g} V on the unit ball"
-                axis.plot(a_mins, values, "o-", ms=3, lw=1, color=colour, label=label)
-                if stop.point.b_max == 1.0:
-                    axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=colour)
-                else:
-                    axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=colour)
-        panels[0, column].set_title(f"μ = {mu:g}", fontsize="medium")
-        panels[1, column].set_xlabel("$a_{min}$ (1: the LC)")
+        scales = dict.fromkeys(p.u_max for p in tuning.outcomes)
+        for number, u_max in enumerate(scales):
+            for row, name in enumerate(rows):
+                _draw_family(panels[row, column], tuning, (mu, u_max), name, OTHERS[number % len(OTHERS)])
+        if mu is not None:
+            panels[0, column].set_title(f"μ = {mu:g}", fontsize="medium")
+        panels[-1, column].set_xlabel("$a_{min}$ (1: the LC)")
     for axis in panels.flat:
-        axis.set_yscale("log")
+        if any((np.asarray(line.get_ydata(), float) > 0.0).any() for line in axis.lines):
+            axis.set_yscale("log")
         axis.grid(alpha=0.3, which="both")
     panels[0, 0].invert_xaxis()
-    panels[0, 0].set_ylabel(QUANTITIES[tuning.measure].heading)
-    panels[1, 0].set_ylabel(QUANTITIES[CHATTERING].heading)
+    for row, quantity in enumerate(rows.values()):
+        panels[row, 0].set_ylabel(literal(quantity.heading))
     handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    if labels:
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure
+
+
+def _draw_family(axis: Any, tuning: Tuning, family: Family, name: str, colour: str) -> None:
+    """Draw `measure` or `chattering` of one mu and scale of P over a_min, and mark where the rule stopped."""
+    curve = sorted(
+        (o for p, o in tuning.outcomes.items() if ((p.mu, p.u_max), p.b_max) == (family, 1.0)),
+        key=lambda o: -o.point.a_min,
+    )
+    stop = tuning.outcomes[next(p for p in tuning.stops if (p.mu, p.u_max) == family)]
+    values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
+    label = None if family[1] is None else f"|k x| ≤ {family[1]:g} V on the unit ball"
+    axis.plot([o.point.a_min for o in curve], values, "o-", ms=3, lw=1, color=colour, label=label)
+    if stop.point.b_max == 1.0:
+        axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=colour)
+    else:
+        axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=colour)

@@ -15,12 +15,15 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from cosim.display import change_text, estimate_text
 from cosim.draws import Estimate
 from cosim.hil.faults import KINDS
+from cosim.inputs import KINDS as KINDS_OF_SIGNALS
 from cosim.metrics import QUANTITIES
-from cosim.scenario import Scenario
+from cosim.scenario import ComponentSection, Scenario
+from cosim.wiring import WireSection
 from fmu_export.variables import Interface, Variable
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
@@ -73,13 +76,25 @@ def scenario_entries() -> str:
     """Return the table of a scenario's entries."""
     lines = ["| entry | default | meaning |", "|---|---|---|"]
     for name, section in Scenario.model_fields.items():
-        model = section.annotation
-        if isinstance(model, type) and issubclass(model, BaseModel):
-            for entry, field in model.model_fields.items():
-                default = {} if field.default_factory else field.default
-                text = "none" if default is None else str(default)
-                lines.append(f"| `{name}.{entry}` | {text} | {field.description} |")
+        models = MANY.get(name, {name: section.annotation})
+        for place, model in models.items():
+            if isinstance(model, type) and issubclass(model, BaseModel):
+                lines += [_entry(f"{place}.{entry}", field) for entry, field in model.model_fields.items()]
     return "\n".join(lines) + "\n"
+
+
+MANY: dict[str, dict[str, type[BaseModel]]] = {
+    "wires": {"wires.N": WireSection},
+    "components": {"components.NAME": ComponentSection},
+    "signals": {f"signals.N ({kind})": model for kind, model in KINDS_OF_SIGNALS.items()},
+}
+"""Entries of which a scenario may have several, and how they are named."""
+
+
+def _entry(name: str, field: FieldInfo) -> str:
+    default = {} if field.default_factory else field.default
+    text = "required" if field.is_required() else "none" if default is None else str(default)
+    return f"| `{name}` | {text} | {_plain(field.description or '')} |"
 
 
 def fault_kinds() -> str:

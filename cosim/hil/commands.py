@@ -115,8 +115,10 @@ def hil(
         raise UserError(f"--rate must lie in [{LOWEST_RATE:g}, {HIGHEST_RATE:g}] Hz, found {rate:g} Hz")
     chosen, folder = load_scenario(scenario)
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
-    if chosen.plant.measurement != "encoders":
+    if chosen.plant.measurement == "ideal":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
+    if chosen.components or chosen.wires is not None or chosen.signals:
+        raise UserError(f"a device is a plant alone; the scenario {chosen.name} has components, wires or signals")
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
     say_notes(remarks(system))

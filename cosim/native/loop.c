@@ -57,6 +57,10 @@ static void gather(const loop_instance *instance, int64_t k)
         const loop_wire *wire = &instance->wires[i];
         copy(wire->target, wire->source, wire->size);
     }
+    for (size_t i = 0; i < instance->conversion_count; i++) {
+        const loop_conversion *conversion = &instance->conversions[i];
+        *conversion->target = conversion->factor * *conversion->source + conversion->offset;
+    }
     for (size_t i = 0; i < instance->signal_count; i++) {
         const loop_signal *signal = &instance->signals[i];
         copy(signal->target, signal->values + (size_t)k * signal->size, signal->size);

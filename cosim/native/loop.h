@@ -33,6 +33,13 @@ typedef struct {
     size_t size;
 } loop_wire;
 
+/* A wire between real numbers that converts: target = factor source + offset. */
+typedef struct {
+    const double *source;
+    double *target;
+    double factor, offset;
+} loop_conversion;
+
 /* An input that follows a function of time: its values, of `size` bytes each, in the steps of a call. */
 typedef struct {
     const unsigned char *values;
@@ -43,9 +50,10 @@ typedef struct {
 typedef struct {
     void *component;
     loop_do_step *do_step;
-    size_t input_count, output_count, wire_count, signal_count;
+    size_t input_count, output_count, wire_count, conversion_count, signal_count;
     const loop_port *inputs, *outputs;
     const loop_wire *wires;
+    const loop_conversion *conversions;
     const loop_signal *signals;
 } loop_instance;
 

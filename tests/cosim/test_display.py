@@ -9,7 +9,7 @@ from rich.console import Console
 from cosim import display
 from cosim.display import change_text, estimate_text, print_claims, print_comparison, print_results, show_table
 from cosim.draws import Estimate
-from cosim.experiments import SHOWN, Comparison, Draw
+from cosim.experiments import Comparison, Draw
 from cosim.metrics import QUANTITIES, Metrics
 from cosim.paper.claims import Claim
 from cosim.scenario import Scenario
@@ -36,14 +36,15 @@ def cells_of(text):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_a_comparison_shows_every_number_at_every_width(shown, width):
-    metrics = [Metrics(2.0 + n, 0.01, 0.0123 + 0.001 * n, 1.0, 0.7, 3.258, 36.1, 0.001, 1) for n in range(3)]
+    values = [(2.0 + n, 0.01, 0.0123 + 0.001 * n, 1.0, 0.7, 3.258, 36.1, 0.001, 1) for n in range(3)]
+    metrics = [Metrics(dict(zip(QUANTITIES, numbers, strict=True)), QUANTITIES) for numbers in values]
     draws = tuple(Draw(law, n, True, m) for law in ("LC", "SMC", "IHC") for n, m in enumerate(metrics, start=1))
     comparison = Comparison(Scenario(), draws, {})
     text = shown(width, print_comparison, comparison)
     assert max(map(len, text.splitlines())) <= width
     rows = [*display.comparison_rows(comparison), *display.change_rows(comparison)]
     assert {cell for row in rows for cell in row} <= cells_of(text)
-    assert len(rows) == 2 * len(SHOWN)
+    assert len(rows) == 2 * len(comparison.shown)
     assert ("settling [s]\n  LC" in text) == (width <= 60)
 
 

@@ -11,9 +11,9 @@ import pytest
 
 from cosim.draws import drawn
 from cosim.errors import UserError
-from cosim.experiments import SHOWN, Comparison, Draw, Study, compare
+from cosim.experiments import Comparison, Draw, Study, compare
 from cosim.master import SimulationError
-from cosim.metrics import NAMES, Metrics, evaluate
+from cosim.metrics import QUANTITIES, Metrics, evaluate
 from cosim.results import Result
 from cosim.scenario import Scenario, load_scenario, run_scenario
 
@@ -85,11 +85,15 @@ def test_what_a_run_refuses_the_comparison_refuses(study, fmus):
         compare([wrong], fmus, ("LC",), 1)
 
 
+def metrics_of(*values):
+    return Metrics(dict(zip(QUANTITIES, values, strict=True)), QUANTITIES)
+
+
 def draws(law, *settling, kept=(), rms=0.1, steady=1.0):
     """Draws of a law that settle when given and keep the pendulum, those in `kept` aside, which say it themselves."""
     kept = dict(enumerate(kept, start=1))
     return [
-        Draw(law, n, kept.get(n, True), Metrics(t, 1.0, rms * n, steady, 2.0 + n, 3.0, 4.0, 0.001, 1))
+        Draw(law, n, kept.get(n, True), metrics_of(t, 1.0, rms * n, steady, 2.0 + n, 3.0, 4.0, 0.001, 1))
         for n, t in enumerate(settling, start=1)
     ]
 
@@ -140,7 +144,10 @@ def test_without_a_steady_state_none_is_compared_and_the_reader_is_told(trend, s
 def test_a_quarter_of_the_draws_may_look_unsteady_by_chance():
     many = draws("LC", *[1.0] * 8)
     for loose, steady in ((2, True), (3, False)):
-        mixed = [dataclasses.replace(d, metrics=dataclasses.replace(d.metrics, steady_trend=2.0)) for d in many[:loose]]
+        mixed = [
+            dataclasses.replace(d, metrics=Metrics({**d.metrics.values, "steady_trend": 2.0}, QUANTITIES))
+            for d in many[:loose]
+        ]
         assert comparison_of([*mixed, *many[loose:]]).steady("LC") == steady
 
 
@@ -155,8 +162,8 @@ def test_saved_tables_are_read_back_exactly(compared, tmp_path, same):
     rows = list(csv.DictReader((tmp_path / "comparison.csv").open(encoding="utf-8")))
     assert [(r["law"], int(r["draw"]), r["kept"]) for r in rows] == [(d.law, d.number, "1") for d in comparison.draws]
     for row, draw in zip(rows, comparison.draws, strict=True):
-        expected = [draw.metrics.as_dict()[n] for n in NAMES]
-        np.testing.assert_array_equal([float(row[n]) for n in NAMES], expected)
+        expected = [draw.metrics.as_dict()[n] for n in QUANTITIES]
+        np.testing.assert_array_equal([float(row[n]) for n in QUANTITIES], expected)
         start = drawn(comparison.scenario, draw.number).plant.start
         assert all(float(row[name]) == start[name] for name in ("theta_encoder_offset", "delta_encoder_offset"))
     about = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
@@ -164,7 +171,7 @@ def test_saved_tables_are_read_back_exactly(compared, tmp_path, same):
     assert Scenario.model_validate(about["scenario"]) == comparison.scenario
     for law, result in comparison.results.items():
         same(Result.load(tmp_path / f"{law}.csv"), result)
-        for name in SHOWN:
+        for name in comparison.shown:
             found = comparison.value(law, name)
             expected = [None if math.isnan(v) else v for v in (found.value, found.half_width)]
             assert about["laws"][law][name] == expected

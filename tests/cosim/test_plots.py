@@ -15,8 +15,9 @@ from cosim.errors import UserError
 from cosim.plots import (
     COLOURS,
     MODE_COLOURS,
-    MODE_NAMES,
     colours,
+    mode_colours,
+    mode_names,
     mode_spans,
     save_comparison,
     save_figure,
@@ -119,9 +120,11 @@ def test_mode_spans_cover_the_whole_time_without_gaps(modes):
     assert [spans[i][0] for i in np.searchsorted(starts, time, side="right") - 1] == modes
 
 
-def test_modes_have_the_controllers_names_and_a_colour_each():
-    assert [name.replace("-", "_") for name in MODE_NAMES.values()] == list(MODES)
-    assert list(MODE_NAMES) == list(MODE_COLOURS) == [1, 2, 3, 4]
+def test_modes_have_the_controllers_names_and_a_colour_each(made_result):
+    assert list(MODE_COLOURS) == list(MODES)
+    result = made_result(TIME)
+    assert mode_names(result) == dict(enumerate((mode.replace("_", "-") for mode in MODES), start=1))
+    assert mode_colours(result) == dict(enumerate(MODE_COLOURS.values(), start=1))
     assert len(set(MODE_COLOURS.values())) == 4
 
 

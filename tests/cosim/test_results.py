@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+import sys
 from pathlib import Path
 
 import fmpy.util
@@ -250,3 +251,37 @@ def test_a_save_that_fails_leaves_the_earlier_result(tmp_path, monkeypatch, stag
 def test_versions_name_all_that_computes():
     assert set(versions()) == {"python", "qube-ihc", "fmpy", "pythonfmu", "numpy"}
     assert versions()["numpy"] == np.__version__
+
+
+# Elsewhere
+
+
+def test_a_result_becomes_a_table_of_pandas_exactly(made_result):
+    result = made_result(np.arange(4) * 0.1, [0.1, 0.2, np.nan, SMALLEST])
+    table = result.to_dataframe()
+    assert list(table.columns) == list(result.signals)
+    assert (table.index.name, table.index.tolist()) == ("time", result.time.tolist())
+    for name, column in result.signals.items():
+        assert table[name].dtype == column.dtype
+        np.testing.assert_array_equal(table[name].to_numpy(), column)
+    assert table.attrs["units"] == result.units
+
+
+def test_without_pandas_it_is_said_in_a_sentence(made_result, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(UserError, match=r"^to_dataframe needs pandas, which is not installed: pip install pandas$"):
+        made_result([0.0, 1.0]).to_dataframe()
+
+
+def test_a_plot_shows_what_is_asked_for(made_result):
+    result = made_result(np.arange(5.0), [0.0, 1.0, 2.0, 3.0, 4.0])
+    axes = result.plot("plant.theta", "controller.voltage").axes
+    assert [axis.get_ylabel() for axis in axes] == ["plant.theta", "controller.voltage"]
+    assert np.asarray(axes[0].lines[0].get_ydata()).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert [axis.get_ylabel() for axis in result.plot().axes][:2] == ["arm θ [rad]", "pendulum δ [rad]"]
+    other = Result(result.time, {"tank.T": result.time}, {"tank.T": "degC"}, {})
+    assert [axis.get_ylabel() for axis in other.plot().axes] == ["tank.T [degC]"]
+    with pytest.raises(UserError, match=r"no signal 'tank\.t'"):
+        other.plot("tank.t")
+    with pytest.raises(UserError, match="at least one row and one signal"):
+        Result(np.zeros(0), {}, {}, {}).plot()

@@ -25,7 +25,6 @@ from cosim.metrics import evaluate, kept_upright
 from cosim.results import Result
 from cosim.scenario import load_scenario, run_scenario
 from cosim.tuning import (
-    CHATTERING,
     MEASURES,
     PURPOSE,
     Grid,
@@ -103,7 +102,7 @@ def test_wherever_the_walk_stops_all_before_improved_and_the_next_does_not(steps
 
 
 def draw(measure=1.0, chattering=2.0, kept=1.0, steady=1.0):
-    named = dict.fromkeys(MEASURES, measure) | {CHATTERING: chattering}
+    named = dict.fromkeys(MEASURES, measure) | {"voltage_variation": chattering}
     return {**named, "kept": kept, "steady": steady, "duration": 10.0}
 
 
@@ -278,7 +277,7 @@ def test_every_family_starts_at_the_same_means_those_of_the_linear_controller(tu
     scenario = problem.scenario.changed({"controller.start.law": "LC"})
     results = [run_scenario(drawn(scenario, draw), fmus, problem.folder) for draw in (1, 2)]
     metrics = [evaluate(result).as_dict() for result in results]
-    expected = tuple(statistics.fmean(m[name] for m in metrics) for name in ("integral_q2", CHATTERING))
+    expected = tuple(statistics.fmean(m[name] for m in metrics) for name in ("integral_q2", "voltage_variation"))
     starts = [tuning.outcomes[Point(*family, 1.0, 1.0)] for family in FAMILIES]
     assert {(o.measure, o.chattering, o.kept, o.draws) for o in (*starts, tuning.linear)} == {(*expected, 2, 2)}
 
@@ -324,7 +323,7 @@ def test_an_outcome_is_the_mean_of_single_runs(tuned, tilt, fmus):
     found = [numbers(run_scenario(drawn(scenario, draw), fmus, problem.folder)) for draw in range(1, problem.draws + 1)]
     outcome = tuned("integral_q2").outcomes[point]
     assert outcome.measure == statistics.fmean(n["integral_q2"] for n in found)
-    assert outcome.chattering == statistics.fmean(n[CHATTERING] for n in found)
+    assert outcome.chattering == statistics.fmean(n["voltage_variation"] for n in found)
     assert outcome.kept == sum(n["kept"] for n in found) == 2
 
 
@@ -404,7 +403,9 @@ def best_again(folder, problem, **changes):
         numbers(run_scenario(drawn(scenario.changed(changes), draw), problem.fmus, beside))
         for draw in range(1, problem.draws + 1)
     ]
-    return tuple(pytest.approx(statistics.fmean(n[name] for n in found)) for name in (problem.measure, CHATTERING))
+    return tuple(
+        pytest.approx(statistics.fmean(n[name] for n in found)) for name in (problem.measure, "voltage_variation")
+    )
 
 
 @pytest.mark.parametrize("measure", ["integral_q2", "energy"])
@@ -431,7 +432,7 @@ def test_the_table_holds_every_point_exactly_and_marks_the_stops(tuned, tilt, tm
     assert len(points) == len(tuning.outcomes)
     for point, row in zip(points, rows, strict=True):
         o = tuning.outcomes[point]
-        assert (float(row["energy"]), float(row[CHATTERING])) == (o.measure, o.chattering)
+        assert (float(row["energy"]), float(row["voltage_variation"])) == (o.measure, o.chattering)
         assert (int(row["kept"]), int(row["draws"])) == (o.kept, o.draws)
     stops = [point for point, row in zip(points, rows, strict=True) if row["stop"] == "1"]
     assert sorted(stops) == sorted(tuning.stops)

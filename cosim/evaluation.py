@@ -1,0 +1,308 @@
+"""What the runs of a system are judged by: errors with their set-points, controls, the controller's modes.
+
+A scenario may say it under `evaluate`; what it does not say follows from its wires. The result keeps what was found, under
+`evaluation` in its metadata, so that a table of numbers can be judged anywhere. A result that keeps nothing is taken for the
+pendulum's.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Container, Mapping, Sequence
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, StrictStr, field_validator, model_validator
+
+from fmu_export.variables import did_you_mean
+
+from .errors import UserError
+from .master import Signal, Wire
+from .typed import Finite, Positive, checked
+from .wiring import CONTROLLER, SET_POINT, Variables
+
+if TYPE_CHECKING:
+    from .results import Result
+
+TOLERANCE = 0.02
+"""|e| within which a run counts as settled, in its unit; of the pendulum [rad]."""
+
+ACTING = "stabilizing"
+"""The item of the controller's `mode` in which the law acts."""
+SWING_UP = "swing_up"
+"""The item of a controller that first brings the plant to where the law can act."""
+
+TRUE = "_true"
+"""How the names of a LinearPlant's states end that are also measured: they have the set-point of what is measured."""
+
+NO_UNIT = "1"
+
+
+class EvaluateSection(BaseModel):
+    """What is judged."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    errors: tuple[str, ...] | None = Field(
+        None,
+        description="signals that should be 0, or at their set-points; none: those that are wired to the controller",
+    )
+    controls: tuple[str, ...] | None = Field(
+        None, description="signals whose size and variation cost; none: the controller's outputs that are wired"
+    )
+    scales: tuple[Positive, ...] | None = Field(
+        None,
+        description="for each error what counts as equally large, in its unit: |e|^2 is then the sum of (e_i/scale_i)^2; "
+        "none: errors of one unit are added, those of different units stand side by side",
+    )
+    tolerance: Positive | None = Field(
+        None, description=f"|e| within which a run counts as settled, in its unit, 1 with scales; none: {TOLERANCE:g}"
+    )
+
+    @field_validator("errors", "scales")
+    @classmethod
+    def _some(cls, value: tuple[Any, ...] | None) -> tuple[Any, ...] | None:
+        if value == ():
+            raise ValueError("must have at least one entry, found none")
+        return value
+
+
+class _Part(BaseModel, frozen=True, extra="ignore"):
+    """Of metadata only what is used is looked at."""
+
+
+class ErrorSignal(_Part, frozen=True):
+    """e = factor signal + offset - set-point, in `unit`; the set-point is a signal of the result, or a constant.
+
+    `wraps`: an angle [rad] of which whole turns do not count, e in (-pi, pi]. `label` names it in pictures.
+    """
+
+    signal: StrictStr
+    unit: StrictStr = NO_UNIT
+    label: StrictStr = ""
+    factor: Finite = 1.0
+    offset: Finite = 0.0
+    set_point: StrictStr | None = None
+    constant: Finite = 0.0
+    wraps: StrictBool = False
+
+    @property
+    def name(self) -> str:
+        """How the error is called in pictures."""
+        return self.label or self.signal
+
+
+class ControlSignal(_Part, frozen=True):
+    """A control in `unit`; `label` names it in pictures."""
+
+    signal: StrictStr
+    unit: StrictStr = NO_UNIT
+    label: StrictStr = ""
+
+    @property
+    def name(self) -> str:
+        """How the control is called in pictures."""
+        return self.label or self.signal
+
+
+class ModeSignal(_Part, frozen=True):
+    """The signal that says in which mode the controller is, and the names of its values."""
+
+    signal: StrictStr
+    items: tuple[tuple[StrictInt, StrictStr], ...]
+
+    def value(self, name: str) -> int | None:
+        """Return the value of a mode; None where the controller has none of that name."""
+        return next((value for value, item in self.items if item == name), None)
+
+    @property
+    def names(self) -> dict[int, str]:
+        """The modes' names by their values."""
+        return dict(self.items)
+
+
+class Evaluation(_Part, frozen=True):
+    """What a run is judged by. `kind`: the pendulum has names of its own for its metrics."""
+
+    kind: Literal["pendulum", "general"] = "general"
+    errors: tuple[ErrorSignal, ...] = ()
+    controls: tuple[ControlSignal, ...] = ()
+    scales: tuple[Positive, ...] | None = None
+    tolerance: Positive = TOLERANCE
+    mode: ModeSignal | None = None
+    norm: StrictStr | None = None
+
+    @model_validator(mode="after")
+    def _a_scale_each(self) -> Self:
+        if self.scales is not None and len(self.scales) != len(self.errors):
+            raise ValueError(f"must have a scale for each of {len(self.errors)} errors, found {len(self.scales)}")
+        return self
+
+    @property
+    def signals(self) -> list[str]:
+        """The names of all signals that it needs."""
+        points = [error.set_point for error in self.errors if error.set_point is not None]
+        mode = [] if self.mode is None else [self.mode.signal]
+        return list(
+            dict.fromkeys([*(c.signal for c in self.controls), *mode, *(e.signal for e in self.errors), *points])
+        )
+
+    @property
+    def error_groups(self) -> dict[str, tuple[int, ...]]:
+        """The numbers of the errors that are judged together, by the suffix of their metrics' names."""
+        if self.scales is not None:
+            return {"": tuple(range(len(self.errors)))}
+        return _groups([(error.signal, error.unit) for error in self.errors])
+
+    @property
+    def control_groups(self) -> dict[str, tuple[int, ...]]:
+        """The numbers of the controls that add up, by the suffix of their metrics' names."""
+        return _groups([(control.signal, control.unit) for control in self.controls])
+
+    def error_unit(self, group: Sequence[int]) -> str:
+        """Return the unit of a group's |e|."""
+        return NO_UNIT if self.scales is not None else self.errors[group[0]].unit
+
+
+def _groups(signals: Sequence[tuple[str, str]]) -> dict[str, tuple[int, ...]]:
+    """Return one group of what has one unit, otherwise a group for each signal, with its name in brackets."""
+    if len({unit for _, unit in signals}) <= 1:
+        return {"": tuple(range(len(signals)))} if signals else {}
+    return {f"[{signal}]": (k,) for k, (signal, _) in enumerate(signals)}
+
+
+_ANGLES = {"theta": "arm θ", "delta": "pendulum δ"}
+_MODES = ((1, "idle"), (2, SWING_UP), (3, ACTING), (4, "fault"))
+
+
+def pendulum_evaluation(known: Container[str]) -> Evaluation:
+    """Return the pendulum's evaluation: of the true angles where both are `known`, of the measured ones otherwise."""
+    missing = {suffix: sum(f"plant.{angle}{suffix}" not in known for angle in _ANGLES) for suffix in ("_encoder", "")}
+    suffix = "" if missing[""] == 0 else min(missing, key=lambda s: missing[s])
+    return Evaluation(
+        kind="pendulum",
+        errors=tuple(
+            ErrorSignal(signal=f"plant.{angle}{suffix}", unit="rad", label=label, wraps=angle == "delta")
+            for angle, label in _ANGLES.items()
+        ),
+        controls=(ControlSignal(signal="controller.voltage", unit="V", label="voltage V"),),
+        mode=ModeSignal(signal="controller.mode", items=_MODES),
+        norm="controller.homogeneous_norm",
+    )
+
+
+def evaluation_in(result: Result) -> Evaluation:
+    """Return what a result is judged by: what its metadata keep, the pendulum's where they keep nothing."""
+    kept = result.metadata.get("evaluation")
+    return pendulum_evaluation(result.signals) if kept is None else _kept(json.dumps(kept, sort_keys=True))
+
+
+@lru_cache(maxsize=64)
+def _kept(text: str) -> Evaluation:
+    return checked(Evaluation, json.loads(text), "the result's metadata: evaluation")
+
+
+def evaluation_of(
+    section: EvaluateSection,
+    variables: Mapping[str, Variables],
+    start: Mapping[str, Mapping[str, Any]],
+    wires: Sequence[Wire],
+    signals: Sequence[Signal],
+    angles: Sequence[str] = (),
+) -> Evaluation:
+    """Return what a system's runs are judged by; without errors where the controller gets no signal and none is named.
+
+    `variables` and `start` (all start values) are by component; `angles` are signals of which whole turns do not count, and
+    that stand for what is measured of them, as plant.theta for plant.theta_encoder.
+    Raises UserError for signals that do not exist.
+    """
+    measured = {
+        w.source: w for w in wires if w.target.startswith(f"{CONTROLLER}.") and not w.target.endswith(SET_POINT)
+    }
+    acting = [w.source for w in wires if w.source.startswith(f"{CONTROLLER}.") and not w.target.startswith(CONTROLLER)]
+    true = {f"{angle}_encoder": angle for angle in angles}
+    chosen = section.errors or list(dict.fromkeys(true.get(source, source) for source in measured))
+    back = {true.get(source, source): wire for source, wire in measured.items()}
+
+    def wire_of(name: str) -> Wire | None:
+        return back.get(name, back.get(name.removesuffix(TRUE)))
+
+    driven = {s.target for s in signals if s.recorded}
+    find = _Found(variables, start, wires, driven)
+    acting = list(dict.fromkeys(acting)) if section.controls is None else list(section.controls)
+    labels = _labels([*chosen, *acting])
+    mode = variables.get(CONTROLLER, {}).get("mode")
+    items = getattr(getattr(mode, "declaredType", None), "items", None) or ()
+    has_mode = mode is not None and mode.causality == "output" and items
+    norm = variables.get(CONTROLLER, {}).get("homogeneous_norm")
+    return checked(
+        Evaluation,
+        {
+            "errors": [
+                {**find.error(name, wire_of(name), wraps=name in angles), "label": labels[name]} for name in chosen
+            ],
+            "controls": [
+                {"signal": name, "unit": find.unit(name, "controls"), "label": labels[name]} for name in acting
+            ],
+            "scales": section.scales,
+            "tolerance": section.tolerance or TOLERANCE,
+            "mode": {"signal": f"{CONTROLLER}.mode", "items": [(int(i.value), i.name) for i in items]}
+            if has_mode
+            else None,
+            "norm": f"{CONTROLLER}.homogeneous_norm" if norm is not None and norm.causality == "output" else None,
+        },
+        "evaluate",
+    )
+
+
+def _labels(names: Sequence[str]) -> dict[str, str]:
+    """Return what signals are called in pictures: without their component where that leaves them different."""
+    different = list(dict.fromkeys(names))
+    short = [name.partition(".")[2] for name in different]
+    return {name: own if own and short.count(own) == 1 else name for name, own in zip(different, short, strict=True)}
+
+
+class _Found:
+    """Signals of a system by name."""
+
+    def __init__(
+        self,
+        variables: Mapping[str, Variables],
+        start: Mapping[str, Mapping[str, Any]],
+        wires: Sequence[Wire],
+        driven: set[str],
+    ) -> None:
+        self.variables, self.start, self.driven = variables, start, driven
+        self.sources = {w.target: w for w in wires}
+
+    def unit(self, name: str, entry: str) -> str:
+        """Return the unit of a signal that can be recorded; raise UserError for another name, found in `entry`."""
+        component, _, variable = name.partition(".")
+        known = self.variables.get(component, {})
+        if variable not in known:
+            raise UserError(f"evaluate.{entry} names {name!r}, which is no variable{did_you_mean(variable, known)}")
+        found = known[variable]
+        if found.causality != "output" and name not in self.driven:
+            raise UserError(f"evaluate.{entry} takes outputs, and inputs with a signal; {name} is an {found.causality}")
+        if found.type == "String":
+            raise UserError(f"evaluate.{entry} takes numbers; {name} is a String")
+        return found.unit or NO_UNIT
+
+    def error(self, name: str, wire: Wire | None, *, wraps: bool) -> dict[str, Any]:
+        """Return an error's description: as the controller is given it by `wire`, less its set-point."""
+        about: dict[str, Any] = {"signal": name, "unit": self.unit(name, "errors"), "wraps": wraps}
+        if wire is None:
+            return about
+        variable = wire.target.partition(".")[2]
+        if wire.converts:
+            seen = self.variables[CONTROLLER][variable].unit or NO_UNIT
+            about |= {"factor": wire.factor, "offset": wire.offset, "unit": seen}
+        point = f"{variable}{SET_POINT}"
+        feed = self.sources.get(f"{CONTROLLER}.{point}")
+        if feed is not None and not feed.converts:
+            return {**about, "set_point": feed.source}
+        if f"{CONTROLLER}.{point}" in self.driven:
+            return {**about, "set_point": f"{CONTROLLER}.{point}"}
+        own = self.start.get(CONTROLLER, {})
+        constant = own.get(point, own.get(f"{variable}_equilibrium", 0.0))
+        return {**about, "constant": float(constant)}
