@@ -70,7 +70,7 @@ def export_system(
     names = exported_files(system)
     plans = (
         (PLANT, plant, linear_plant_values(system), changes["plant"], plant_notes(system), "linear_plant"),
-        (CONTROLLER, interface, hidden, changes["controller"], controller_notes(design, found), "controller"),
+        (CONTROLLER, interface, hidden, changes["controller"], controller_notes(design, "measured_state" if found is None else "kalman"), "controller"),
     )
     with staging(output) as place:
         for (unit, shown, rest, start, notes, kind), stay, name in zip(plans, kept, names, strict=False):
