@@ -72,7 +72,9 @@ class _Part(BaseModel, frozen=True, extra="ignore"):
 
 
 class ErrorSignal(_Part, frozen=True):
-    """e = factor signal + offset - set-point, in `unit`; the set-point is a signal of the result, or a constant.
+    """e = factor signal + offset - set-point, in `unit`.
+
+    The set-point is point_factor times a signal of the result plus point_offset, or a constant.
 
     `wraps`: an angle [rad] of which whole turns do not count, e in (-pi, pi]. `label` names it in pictures.
     """
@@ -83,6 +85,8 @@ class ErrorSignal(_Part, frozen=True):
     factor: Finite = 1.0
     offset: Finite = 0.0
     set_point: StrictStr | None = None
+    point_factor: Finite = 1.0
+    point_offset: Finite = 0.0
     constant: Finite = 0.0
     wraps: StrictBool = False
 
@@ -298,8 +302,8 @@ class _Found:
         """Return where the set-point of what the controller is given as `variable` comes from."""
         point = f"{variable}{SET_POINT}"
         feed = self.sources.get(f"{CONTROLLER}.{point}")
-        if feed is not None and not feed.converts:
-            return {"set_point": feed.source}
+        if feed is not None:
+            return {"set_point": feed.source, "point_factor": feed.factor, "point_offset": feed.offset}
         if f"{CONTROLLER}.{point}" in self.driven:
             return {"set_point": f"{CONTROLLER}.{point}"}
         own = self.start.get(CONTROLLER, {})
