@@ -29,7 +29,7 @@ EXPORTED long whole_steps(int law, const double *theta, const double *delta, lon
         if (ihc_step(p, &prepared, &state, (double)k * p->sample_time, p->sample_time, &u) > IHC_NEW_FAULT) {
             return -1;
         }
-        stabilizing += state.mode == IHC_STABILIZING;
+        stabilizing += state.mode == IHC_MODE_STABILIZING;
     }
     return stabilizing;
 }

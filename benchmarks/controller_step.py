@@ -89,7 +89,7 @@ def _library(controller: Mapping[str, Value]) -> ctypes.CDLL:
     for name, (law, solver) in VARIANTS.items():
         values = CONTROLLER.interface.start_values({**controller, "law": law, "norm_solver": solver})
         header += f"static const ihc_params {name} = {struct_initializer(CONTROLLER, values)};\n"
-    files = {name: file.read_bytes() for name, file in CONTROLLER.core.items()}
+    files = dict(CONTROLLER.core)
     files["controller_step.c"] = Path(__file__).with_name("controller_step.c").read_bytes()
     files["start_values.h"] = header.encode()
     platform = host_platform()

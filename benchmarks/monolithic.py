@@ -25,7 +25,7 @@ class Monolithic:
         for unit, name, changes in ((PLANT, "PLANT", plant), (CONTROLLER, "CONTROLLER", controller)):
             values = unit.interface.start_values(changes)
             header += f"static const {unit.prefix}_params {name} = {struct_initializer(unit, values)};\n"
-        files = {name: file.read_bytes() for unit in (PLANT, CONTROLLER) for name, file in unit.core.items()}
+        files = PLANT.core | CONTROLLER.core
         files["monolithic.c"] = (Path(__file__).parent / "monolithic.c").read_bytes()
         files["start_values.h"] = header.encode()
         platform = host_platform()

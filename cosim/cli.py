@@ -20,7 +20,7 @@ import typer
 
 from filing.ownership import check_replaceable, is_ours
 
-from . import signals
+from . import plant_commands, signals
 from .display import (
     console,
     degrade_output,
@@ -76,6 +76,7 @@ class Method(StrEnum):
 
 
 hil_commands.register(app)
+plant_commands.register(app)
 
 
 def _show_version(wanted: bool) -> None:

@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 from weakref import WeakValueDictionary
 from xml.parsers import expat
 
@@ -49,8 +49,8 @@ def status_text(status: int) -> str:
 _loading = threading.Lock()
 """FMPy changes the process's folder while it loads a library."""
 
-_idle: dict[tuple[str, str], list[Any]] = {}
-"""FMPy's loaded libraries without an instance, by folder and model identifier: loading costs more than a short run."""
+_idle: dict[tuple[str, ...], list[Any]] = {}
+"""FMPy's loaded libraries without an instance, by folder, identifier and kind: loading costs more than a short run."""
 
 _unpacked: dict[tuple[str, int, int], tuple[str, ModelDescription]] = {}
 
@@ -83,8 +83,8 @@ class FmuError(RuntimeError):
     """An FMI call failed; the message holds instance, call, status and what the FMU logged."""
 
 
-class FMU2Strict(fmpy.fmi2.FMU2Slave):
-    """FMPy's slave, for which every status but OK and warning is a failure; FMPy lets negative ones pass."""
+class Strict(fmpy.fmi2._FMU2):
+    """FMPy's FMU, for which every status but OK and warning is a failure; FMPy lets negative ones pass."""
 
     def _call(self, fname: str, *args: Any) -> Any:
         result = super()._call(fname, *args)
@@ -93,11 +93,23 @@ class FMU2Strict(fmpy.fmi2.FMU2Slave):
         return result
 
 
+class FMU2Strict(Strict, fmpy.fmi2.FMU2Slave):
+    """FMPy's slave, strict."""
+
+
 def describe(path: Path) -> tuple[str, ModelDescription]:
     """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
 
     Raises UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
     """
+    folder, description = describe_any(path)
+    if description.coSimulation is None:
+        raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found one for model exchange only")
+    return folder, description
+
+
+def describe_any(path: Path) -> tuple[str, ModelDescription]:
+    """Return what `describe` does, also for an FMU that is for model exchange only."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -136,14 +148,15 @@ def _unpack(path: Path) -> tuple[str, ModelDescription]:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     escapes = "%" in Path(folder).as_uri().replace("%20", "")
-    assert description.coSimulation is not None
-    if description.coSimulation.needsExecutionTool and escapes:  # PythonFMU's wrapper cannot read them
+    if (
+        description.coSimulation is not None and description.coSimulation.needsExecutionTool and escapes
+    ):  # PythonFMU's wrapper cannot read them
         raise UserError(f"the temporary folder (TMPDIR) must be named in plain letters for Python FMUs, found {folder}")
     return folder, description
 
 
 def _description(path: Path, folder: Path) -> ModelDescription:
-    """Return the description in `folder`; raise UserError for one that is not that of an FMI 2.0 co-simulation FMU."""
+    """Return the description in `folder`; raise UserError for one that is not that of an FMI 2.0 FMU."""
     file = folder / "modelDescription.xml"
     if not file.is_file():
         raise UserError(f"{path} is not a valid FMU: it has no modelDescription.xml")
@@ -154,11 +167,12 @@ def _description(path: Path, folder: Path) -> ModelDescription:
         raise
     except Exception as error:  # FMPy raises bare exceptions of many kinds
         raise UserError(f"{path} is not a valid FMU: {_first_line(error)}") from None
-    if description.fmiVersion != "2.0" or description.coSimulation is None:
+    kinds = [kind for kind in (description.coSimulation, description.modelExchange) if kind is not None]
+    if description.fmiVersion != "2.0" or not kinds:
         raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
-    identifier = description.coSimulation.modelIdentifier or ""
-    if not (identifier.isascii() and identifier.isidentifier()):  # a file's name: a path would load another library
-        raise UserError(f"{path} must have a C identifier as modelIdentifier, found {shown(identifier)}")
+    for identifier in (kind.modelIdentifier or "" for kind in kinds):
+        if not (identifier.isascii() and identifier.isidentifier()):  # a file's name: a path would load another library
+            raise UserError(f"{path} must have a C identifier as modelIdentifier, found {shown(identifier)}")
     return description
 
 
@@ -246,13 +260,18 @@ class Instance:
     _fmu: Any = None
     _alive: bool = False
     _running: bool = False
+    _library: ClassVar[type[Strict]] = FMU2Strict
 
     def __post_init__(self) -> None:
-        self._folder, self.description = describe(self.path)
-        assert self.description.coSimulation is not None  # `describe` refuses others
-        self.model_identifier = self.description.coSimulation.modelIdentifier or ""
-        self._key = (self._folder, self.model_identifier)
+        self._folder, self.description, self.model_identifier = self._described()
+        self._key = (self._folder, self.model_identifier, self._library.__name__)
         self.variables = {v.name: v for v in self.description.modelVariables}
+
+    def _described(self) -> tuple[str, ModelDescription, str]:
+        """Return the unpacked FMU's folder, its description and its model identifier."""
+        folder, description = describe(self.path)
+        assert description.coSimulation is not None  # `describe` refuses others
+        return folder, description, description.coSimulation.modelIdentifier or ""
 
     def variable(self, name: str) -> ScalarVariable:
         """Return the variable, or raise UserError with the nearest names."""
@@ -394,7 +413,7 @@ class Instance:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
 
     def _loaded(self) -> Any:
-        return FMU2Strict(
+        return self._library(
             guid=self.description.guid,
             unzipDirectory=self._folder,
             modelIdentifier=self.model_identifier,

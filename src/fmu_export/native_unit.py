@@ -5,10 +5,11 @@ Standard library only: this module also runs while the package is being built.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -38,6 +39,9 @@ class NativeUnit:
 
     An FMU shows all variables of `interface`, or some of them under other names (`Variable.slot`); `twin` and
     `model_exchange` always get the start values of all, and speak of them, by the names in `interface`.
+
+    `<stem>.h` may include `<stem>_constants.h`, which is generated: the values of each enumeration as PREFIX_VARIABLE_ITEM,
+    in capitals, and `constants` by their names in C, so that no number stands in both languages.
     """
 
     interface: Interface
@@ -48,6 +52,7 @@ class NativeUnit:
     model_exchange: Callable[[Mapping[str, Value]], ModelExchange] | None = None
     largest_model_exchange: ModelExchange | None = None
     common: tuple[str | Path, ...] = ()
+    constants: Mapping[str, int | float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for variable in self.interface.variables:
@@ -60,19 +65,22 @@ class NativeUnit:
         return _places(self.interface)
 
     @property
-    def _own(self) -> list[Path]:
-        return [self.folder / name for name in (*(f"{self.stem}{end}" for end in (".c", ".h", "_fmu.c")), *self.common)]
+    def core(self) -> dict[str, bytes]:
+        """The unit's files by name that know nothing of FMI."""
+        name = f"{self.stem}_constants.h"
+        own = {file.name: file.read_bytes() for file in self._paths if not _is_of_fmi(file)}
+        return own | {name: self.generated[name].encode()}
 
     @property
-    def core(self) -> dict[str, Path]:
-        """The unit's source files by name that know nothing of FMI."""
-        return {file.name: file for file in self._own if not file.name.endswith(("_fmu.c", "_fmu.h"))}
+    def _paths(self) -> list[Path]:
+        names = (f"{self.stem}.c", f"{self.stem}_fmu.c", f"{self.stem}.h", *self.common)
+        return [self.folder / name for name in names]
 
     @property
     def sources(self) -> dict[str, Path]:
         """Hand-written source files by name, the adapter's included, headers too."""
         shared = [ADAPTER / name for name in (*ADAPTER_SOURCES, "fmu_instance.h", "fmu_names.h", "fmu_unit.h")]
-        return {file.name: file for file in (*self._own, *shared)}
+        return {file.name: file for file in (*self._paths, *shared)}
 
     @property
     def generated(self) -> dict[str, str]:
@@ -81,7 +89,15 @@ class NativeUnit:
 
     def headers(self, identifier: str) -> dict[str, str]:
         """Return the generated headers by name for sources whose functions begin with `identifier`."""
-        return {f"{self.stem}_table.h": variable_table(self), "fmu_model.h": model_header(identifier)}
+        return {
+            f"{self.stem}_constants.h": constants_header(self),
+            f"{self.stem}_table.h": variable_table(self),
+            "fmu_model.h": model_header(identifier),
+        }
+
+
+def _is_of_fmi(file: Path) -> bool:
+    return file.stem.endswith("_fmu")
 
 
 def unit_files(unit: NativeUnit) -> dict[str, bytes]:
@@ -94,6 +110,37 @@ def unit_files(unit: NativeUnit) -> dict[str, bytes]:
 def is_c_identifier(name: str) -> bool:
     """Return whether `name` can be the name of something in C; keywords count as such."""
     return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) is not None
+
+
+def constants_header(unit: NativeUnit) -> str:
+    """Return the header with the unit's constants and the values of its enumerations."""
+    guard = f"{unit.stem}_constants_h".upper()
+    lines = [
+        f"/* Generated from the interface of {unit.interface.name}: what Python and C have in common. */",
+        f"#ifndef {guard}",
+        f"#define {guard}",
+        "",
+        *(_constant(name, value) for name, value in unit.constants.items()),
+    ]
+    for v in unit.interface.variables:
+        if v.type == "Enumeration":
+            names = [f"{unit.prefix}_{v.name}_{item}".upper() for item in v.items]
+            values = ", ".join(f"{_checked(name)} = {i}" for i, name in enumerate(names, 1))
+            lines.append(f"enum {{ {values} }}; /* {v.name} */")
+    return "\n".join([*lines, "", "#endif", ""])
+
+
+def _constant(name: str, value: float) -> str:
+    _checked(name)
+    if not math.isfinite(value) or (isinstance(value, int) and not -(2**31) < value < 2**31):
+        raise ValueError(f"the constant {name} must be finite, or an integer of 32 bits, found {value}")
+    return f"enum {{ {name} = {value} }};" if isinstance(value, int) else f"#define {name} {value!r}"
+
+
+def _checked(name: str) -> str:
+    if not is_c_identifier(name):
+        raise ValueError(f"the name {name!r} of a constant is not a C identifier")
+    return name
 
 
 def model_header(identifier: str) -> str:
@@ -161,13 +208,13 @@ def _places(interface: Interface) -> dict[str, tuple[str, int]]:
             numbers = [int(number) for number in match[2].split("_")[1:]]
             groups.setdefault(match[1], []).append((i, variable, numbers))
     places = {v.name: (v.name, 0) for v in interface.variables}
-    for field, entries in groups.items():
+    for name, entries in groups.items():
         if len(entries) == 1:
             continue
         for (i, a, before), (j, b, behind) in pairwise(entries):
             if j != i + 1 or not before < behind or len(before) != len(behind) or _kind(a) != _kind(b):
-                raise ValueError(f"{a.name} and {b.name} must be neighbouring entries of one array {field}, by rows")
-        places |= {v.name: (field, position) for position, (_, v, _) in enumerate(entries)}
+                raise ValueError(f"{a.name} and {b.name} must be neighbouring entries of one array {name}, by rows")
+        places |= {v.name: (name, position) for position, (_, v, _) in enumerate(entries)}
     return places
 
 

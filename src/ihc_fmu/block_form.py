@@ -151,21 +151,21 @@ def _staircase(A: Array, B: Array, units: Array, names: Sequence[str]) -> list[A
         U, values, _ = np.linalg.svd(rest.T @ reached)
         rank = int((values > RANK * max(1.0, float(values[0]) if len(values) else 1.0)).sum())
         if rank == 0:
-            raise UserError(f"(A, B) must be controllable; no input moves {_combination(rest[:, -1] / units, names)}")
+            raise UserError(f"(A, B) must be controllable; no input moves {combination(rest[:, -1] / units, names)}")
         bases.append(rest @ U[:, :rank])
         rest = rest @ U[:, rank:]
         reached = A @ bases[-1]
     return bases[::-1]
 
 
-def _combination(direction: Array, names: Sequence[str]) -> str:
-    """Return a linear combination of states as text, its largest coefficient 1."""
+def combination(direction: Array, names: Sequence[str]) -> str:
+    """Return a linear combination of states, by their names or x1, x2, ..., as text, its largest coefficient 1."""
     largest = int(np.argmax(np.abs(direction)))
     direction = direction / direction[largest]
     names = names or [f"x{i}" for i in range(1, len(direction) + 1)]
     parts = [
-        f"{'' if abs(c - 1.0) < 1e-6 else f'{c:.3g} '}{name}"
+        ("- " if c < 0.0 else "+ ") + ("" if abs(abs(c) - 1.0) < 1e-6 else f"{abs(c):.3g} ") + name
         for c, name in zip(direction, names, strict=True)
         if abs(c) > 1e-6
     ]
-    return " + ".join(parts).replace("+ -", "- ")
+    return " ".join(parts).removeprefix("+ ")

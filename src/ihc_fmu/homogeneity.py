@@ -30,6 +30,9 @@ Exponents = Sequence[int]
 NEWTON_LIMIT = 100
 """Iterations after which the root search stops; more than ten are rare, and each two at least halve the bracket."""
 
+MOST_BISECTIONS = 60
+"""Of Algorithm 1 in a sample, at most."""
+
 CONVERGED = 1e-9
 """Length in ln r of a Newton step that leaves an error of its square, far below rounding."""
 
@@ -96,10 +99,14 @@ def solve(M: Matrix, B: Matrix, name: str = "Phi") -> list[list[float]]:
     return [row[n:] for row in rows]
 
 
+REFINEMENTS = 3
+"""Of a solution, iteratively."""
+
+
 def refined(M: Matrix, x: Vector, b: Vector) -> list[float]:
-    """Return the solution x of M x = b after three iterative refinements, which make entries that should be 0 tiny."""
+    """Return the solution x of M x = b after REFINEMENTS iterative refinements, which make entries that should be 0 tiny."""
     found = list(x)
-    for _ in range(3):
+    for _ in range(REFINEMENTS):
         residual = [[right - dot(row, found)] for row, right in zip(M, b, strict=True)]
         found = [entry + change for entry, (change,) in zip(found, solve(M, residual), strict=True)]
     return found
@@ -137,7 +144,7 @@ def product(M: Matrix, x: Vector) -> list[float]:
 CANCELLED = 1e-3
 """Of its terms' sizes: a sum that is smaller has lost digits that count and is added anew in twice the precision."""
 
-_SPLIT = 134217729.0
+SPLIT = 134217729.0
 """2^27 + 1: halves a double's digits, T. J. Dekker, Numer. Math. 18 (1971), 224-242."""
 
 
@@ -177,7 +184,7 @@ def _two_product(a: float, b: float) -> tuple[float, float]:
 
 
 def _high(a: float) -> float:
-    t = _SPLIT * a
+    t = SPLIT * a
     return t - (t - a)
 
 

@@ -1,23 +1,23 @@
-"""Design of the Kalman filter with disturbance and bias: the constant gain of `velocity.kalman_step`.
+"""Design of a steady-state Kalman filter for any linear model with disturbances of its inputs and biases of its outputs.
 
-The filter's state is (theta, delta, theta', delta', d, beta): the pendulum's, a disturbance voltage d that enters with
-the motor voltage, and the bias beta of the measured pendulum angle, y = (theta, delta + beta). Without the bias the
-filter would take an encoder zeroed a fraction of a count beside upright for a disturbance.
+    x' = A x + B (u + d + w),   d' = noise,   beta' = -leak beta + noise,   y = C x + beta + noise,
+
+sampled every h. The filter's state is (x, d, beta). Without the biases a sensor zeroed a fraction of a count beside the
+equilibrium would be taken for a disturbance. Plain arithmetic: every processor and library gives the same bits.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from math import frexp, inf, nan, pi
+from math import frexp, inf
 
 import numpy as np
 
 from fmu_export.errors import UserError
-from rotary_pendulum import linearization
 
+from .block_form import RANK, combination, scaling
 from .homogeneity import Matrix, product, solve, transpose
-from .pendulum.nominal_model import NominalModel
-from .pendulum.velocity import BIAS_DECAY
 
 Array = np.ndarray
 
@@ -30,55 +30,101 @@ CONVERGED = 1e-18
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KalmanOptions:
-    """Noise intensities: of the voltage, of its slow disturbance, of the bias; and the encoders' resolution.
+class Noise:
+    """How uncertain model and sensors are; 0 in `disturbances` and `biases` leaves them out.
 
-    The measurement's variance is resolution^2/12 at 1 ms, in inverse proportion to the sample time.
+    inputs (m,): intensity of white noise on the inputs, [u^2 s]. disturbances (m,): of what moves their disturbances,
+    [u^2/s]. biases (p,): of what moves the outputs' biases, [y^2/s]. outputs (p,): variance of a sample, [y^2]. leak [1/s]:
+    rate at which biases are forgotten.
     """
 
-    voltage_noise: float = 2e-5  # [V^2 s]
-    disturbance_noise: float = 0.15  # [V^2/s]
-    bias_noise: float = 3e-9  # [rad^2/s]
-    resolution: float = 2 * pi / 2048  # [rad]
+    inputs: Sequence[float]
+    disturbances: Sequence[float]
+    biases: Sequence[float]
+    outputs: Sequence[float]
+    leak: float = 1e-3
 
 
-def linearize(m: NominalModel) -> tuple[Array, Array]:
-    """Return (A, b) of the nominal model at the upright equilibrium, for the motor voltage as input."""
-    return linearization.linearize(m.pendulum, m.torque_per_volt)
+@dataclass(frozen=True, slots=True, eq=False)
+class KalmanDesign:
+    """x+ = F x + G (u + d), d+ = d, beta+ = decay beta; M corrects (x, d, beta) by the innovation y - (C x + beta).
+
+    F (n, n), G (n, m), M (n + m + p, p), rows of what is left out 0.
+    """
+
+    F: Array
+    G: Array
+    M: Array
+    decay: float
 
 
-def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = None) -> Array:
-    """Return the steady-state gain M (6, 2) of the current estimator for x' = A x + b V sampled every `h` [s].
+def kalman_filter(
+    A: Array, B: Array, C: Array, h: float, noise: Noise, names: Sequence[str] | None = None
+) -> KalmanDesign:
+    """Return the steady-state filter for A (n, n), B (n, m), C (p, n), sampled every `h` [s].
 
-    Upper rows in [1] and [1/s], row 5 in V/rad, row 6 in [1]. Process noise is integrated exactly over a sample (Van
-    Loan, IEEE Trans. Automatic Control 23(3), 1978); the stationary covariance solves the discrete Riccati equation.
-    Raises UserError for an `h` that is not positive and finite, and a model for which there is no such gain.
+    Process noise is integrated exactly over a sample (C. F. Van Loan, IEEE Trans. Automatic Control 23(3), 1978); the
+    stationary covariance solves the discrete Riccati equation. `names` (n + m + p,) are those of states, disturbances and
+    biases. Raises UserError for an `h` that is not positive and finite, for what cannot be observed, by its name, and a
+    model for which there is no such gain.
     """
     if not 0.0 < h < inf:
         raise UserError(f"the sample time must be positive and finite, found {h} s")
-    if not (np.isfinite(A).all() and np.isfinite(b).all()):
-        raise UserError(
-            "there is no Kalman filter for this nominal model: its inertias must have a positive determinant"
-        )
-    o = options or KalmanOptions()
-    F = np.zeros((6, 6))
-    F[:4, :4], F[:4, 4], F[5, 5] = A, b, -BIAS_DECAY
-    B = np.concatenate([b, [0.0, 0.0]])
-    Q = o.voltage_noise * np.outer(B, B) + np.diag([0.0, 0.0, 0.0, 0.0, o.disturbance_noise, o.bias_noise])
-    block = exponential((np.block([[-F, Q], [np.zeros((6, 6)), F.T]]) * h).tolist())
-    transposed = [row[6:] for row in block[6:]]
-    noise = multiplied(transpose(transposed), [row[6:] for row in block[:6]])
-    C = [[1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0, 1.0]]
-    variance = o.resolution**2 / 12.0 * (1e-3 / h)
+    if not all(np.isfinite(M).all() for M in (A, B, C)):
+        raise UserError("there is no Kalman filter for this model: it is not finite")
+    (n, m), p = B.shape, len(C)
+    moved = [n + i for i, q in enumerate(noise.disturbances) if q > 0.0]
+    biased = [n + m + i for i, q in enumerate(noise.biases) if q > 0.0]
+    kept = [*range(n), *moved, *biased]
+    F = np.zeros((n + m + p, n + m + p))
+    F[:n, :n], F[:n, n : n + m] = A, B
+    F[range(n + m, n + m + p), range(n + m, n + m + p)] = -noise.leak
+    Q = np.zeros_like(F)
+    for column, q in zip(B.T, noise.inputs, strict=True):
+        Q[:n, :n] += q * np.outer(column, column)
+    Q += np.diag([0.0] * n + [*noise.disturbances, *noise.biases])
+    seen = np.hstack([C, np.zeros((p, m)), np.eye(p)])
+    which = np.ix_(kept, kept)
+    _check_detectable(F[which], seen[:, kept], None if names is None else [names[i] for i in kept])
+    M = np.zeros((n + m + p, p))
+    M[kept] = _gain(F[which], Q[which], seen[:, kept], h, noise.outputs)
+    held = np.zeros((n + m, n + m))
+    held[:n, :n], held[:n, n:] = A, B
+    step = np.array(exponential((held * h).tolist()))
+    return KalmanDesign(step[:n, :n], step[:n, n:], M, float(np.exp(-noise.leak * h)))
+
+
+def _gain(F: Array, Q: Array, C: Array, h: float, variances: Sequence[float]) -> Array:
+    """Return the gain of the current estimator, (N, p)."""
+    N, outputs = len(F), C.tolist()
+    block = exponential((np.block([[-F, Q], [np.zeros((N, N)), F.T]]) * h).tolist())
+    transposed = [row[N:] for row in block[N:]]
+    noise = multiplied(transpose(transposed), [row[N:] for row in block[:N]])
+    R = [[v if i == j else 0.0 for j in range(len(C))] for i, v in enumerate(variances)]
     try:
-        seen = multiplied(C, stationary_covariance(transposed, C, noise, variance))
-        innovation = plus(multiplied(seen, transpose(C)), [[variance, 0.0], [0.0, variance]])
-        M = np.array(transpose(solve(innovation, seen)))
-    except UserError:
-        M = np.full((6, 2), nan)
+        reduced = multiplied(outputs, stationary_covariance(transposed, outputs, noise, variances))
+        innovation = plus(multiplied(reduced, transpose(outputs)), R)
+        M = np.array(transpose(solve(innovation, reduced)))
+    except (UserError, OverflowError, ZeroDivisionError):
+        M = np.full((N, len(C)), np.nan)
     if not np.isfinite(M).all():
-        raise UserError("there is no Kalman filter for this nominal model: its Riccati equation has no solution")
+        raise UserError("there is no Kalman filter for this model: its Riccati equation has no solution")
     return M
+
+
+def _check_detectable(F: Array, C: Array, names: Sequence[str] | None) -> None:
+    """Raise UserError that names the combination of states that no output sees and that does not decay (Hautus' test)."""
+    s = scaling(F.T, C.T)
+    F_s = F / s.states * s.states[:, None] / s.omega
+    C_s = C / s.states * s.inputs[:, None] / s.omega
+    for value in np.linalg.eigvals(F_s):
+        if value.real < -RANK:
+            continue
+        _, sizes, directions = np.linalg.svd(np.vstack([F_s - value * np.eye(len(F)), C_s]))
+        if sizes[-1] < RANK:
+            direction = directions[-1].conj()
+            direction = (direction / direction[np.argmax(np.abs(direction))]).real / s.states
+            raise UserError(f"no measured output tells {combination(direction, names or ())} from nothing")
 
 
 def multiplied(A: Matrix, B: Matrix) -> list[list[float]]:
@@ -106,14 +152,14 @@ def exponential(M: Matrix) -> list[list[float]]:
     return found
 
 
-def stationary_covariance(F_t: Matrix, C: Matrix, Q: Matrix, variance: float) -> list[list[float]]:
-    """Return X = F (X - X C' (C X C' + variance I)^-1 C X) F' + Q, given F', by structure-preserving doubling.
+def stationary_covariance(F_t: Matrix, C: Matrix, Q: Matrix, variances: Sequence[float]) -> list[list[float]]:
+    """Return X = F (X - X C' (C X C' + R)^-1 C X) F' + Q, given F', R = diag(variances), by structure-preserving doubling.
 
     A <- A W A, G <- G + A W G A', X <- X + A' X W A with W = (I + G X)^-1 (Chu, Fan, Lin and Wang, Int. J. Control 77(8),
-    2004), from A = F', G = C' C/variance, X = Q; converges quadratically.
+    2004), from A = F', G = C' R^-1 C, X = Q; converges quadratically.
     """
     A, X = [list(row) for row in F_t], [list(row) for row in Q]
-    G = [[entry / variance for entry in row] for row in multiplied(transpose(C), C)]
+    G = multiplied(transpose(C), [[entry / variance for entry in row] for row, variance in zip(C, variances, strict=True)])
     unit = [[1.0 if i == j else 0.0 for j in range(len(A))] for i in range(len(A))]
     for _ in range(DOUBLINGS):
         both = solve(plus(unit, multiplied(G, X)), [a + g for a, g in zip(A, G, strict=True)])

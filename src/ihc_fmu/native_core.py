@@ -1,4 +1,4 @@
-"""Where the C of the controllers is, and the headers that both are built on.
+"""Where the C of the controllers is, the headers that both are built on, and the numbers in them that Python has.
 
 Standard library only: this module also runs while the package is being built.
 """
@@ -7,5 +7,33 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from . import homogeneity, laws
+from .sampled_unit import MAX_SAMPLES
+
 FOLDER = Path(__file__).parent / "native"
 HEADERS = ("homogeneous.h", "sample_clock.h", "sample_clock_fmu.h")
+
+CONSTANTS: dict[str, int | float] = {
+    "MOST_SAMPLES": MAX_SAMPLES,
+    "MOST_BISECTIONS": homogeneity.MOST_BISECTIONS,
+    "NEWTON_LIMIT": homogeneity.NEWTON_LIMIT,
+    "REFINEMENTS": homogeneity.REFINEMENTS,
+    "FAR_APART": homogeneity.FAR,
+    "SHIFT": homogeneity.SHIFT,
+    "SMALL": 2.0**-homogeneity.SHIFT,
+    "LARGE": 2.0**homogeneity.SHIFT,
+    "LEAST": homogeneity.LEAST,
+    "LEAST_ESTIMATE": homogeneity.LEAST_ESTIMATE,
+    "LEAST_GUESS": homogeneity.GUESSES[0],
+    "LARGEST_GUESS": homogeneity.GUESSES[1],
+    "LEAST_ORDINARY": homogeneity.ORDINARY[0],
+    "MOST_ORDINARY": homogeneity.ORDINARY[1],
+    "NEGLIGIBLE": homogeneity.NEGLIGIBLE,
+    "UNBOUNDED": homogeneity.UNBOUNDED,
+    "CONVERGED": homogeneity.CONVERGED,
+    "CANCELLED": homogeneity.CANCELLED,
+    "MOST_EXACT": homogeneity.MOST_EXACT,
+    "SPLIT": homogeneity.SPLIT,
+    "MOST": laws.MOST,
+}
+"""By their names in C; what each means is told where Python has it."""

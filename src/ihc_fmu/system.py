@@ -207,8 +207,10 @@ class System:
         return names.index(name)
 
     def changed(self, **changes: Any) -> System:
-        """Return the system with fields replaced; C stays absent where it was."""
-        kept = {"C": None, "outputs": ()} if self.measures_state and "C" not in changes else {}
+        """Return the system with fields replaced; C stays absent where it was, and a new C has new outputs."""
+        kept: dict[str, Any] = {"C": None, "outputs": ()} if self.measures_state else {}
+        if "C" in changes:
+            kept = dict.fromkeys(("y_eq", "resolutions", "deviations")) | dict.fromkeys(_OF_OUTPUTS, ())
         return replace(self, **{**kept, **changes})
 
     def with_lqr(self, Q: Array, R: Array) -> System:
@@ -316,6 +318,9 @@ class System:
     def save(self, path: Path, comment: str = "") -> None:
         """Write the TOML file, whole or not at all; raise UserError where it cannot be written."""
         write_file(path, self.to_toml(comment))
+
+
+_OF_OUTPUTS = ("outputs", "set_points", "biases")
 
 
 def meant(K: Array | None, law: str | None) -> Array | None:

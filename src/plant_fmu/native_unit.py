@@ -11,10 +11,11 @@ from pathlib import Path
 from fmu_export.model_description import ModelExchange
 from fmu_export.native_unit import NativeUnit
 from fmu_export.variables import Value
-from rotary_pendulum.c_header import HEADER
+from rotary_pendulum.c_header import CONSTANTS, HEADER
 
-from .interface import INTERFACE, MOTOR_MODELS
-from .unit import QubePlant
+from .integrator import LEAST
+from .interface import INTERFACE, MAX_DELAY_STEPS, MAX_SUBSTEPS, MOTOR_MODELS
+from .unit import STEPS_PER_TIME_CONSTANT, QubePlant
 
 _VOLTAGES = ("voltage", "disturbance_voltage")
 
@@ -60,4 +61,11 @@ NATIVE = NativeUnit(
     common=(HEADER,),
     model_exchange=model_exchange,
     largest_model_exchange=_model_exchange(inductance=True),
+    constants={
+        "QUBE_MAX_DELAY": MAX_DELAY_STEPS,
+        "QUBE_MAX_SUBSTEPS": MAX_SUBSTEPS,
+        "QUBE_STEPS_PER_TIME_CONSTANT": STEPS_PER_TIME_CONSTANT,
+        **CONSTANTS,
+        "QUBE_LEAST": LEAST,
+    },
 )

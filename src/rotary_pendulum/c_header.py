@@ -7,4 +7,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from .equation import FRICTION_SPEED
+
 HEADER = Path(__file__).parent / "native" / "rotary_pendulum.h"
+
+CONSTANTS = {"PENDULUM_FRICTION_SPEED": FRICTION_SPEED}
+"""What a unit that includes it needs among its generated constants."""

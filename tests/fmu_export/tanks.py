@@ -87,4 +87,5 @@ NATIVE = NativeUnit(
     prefix="tanks",
     model_exchange=exchange,
     largest_model_exchange=exchange({**TABLE.start_values(), "count": MOST}),
+    constants={"TANKS_MOST": MOST, "TANKS_PUMPS": PUMPS, "TANKS_CHART": CHART},
 )

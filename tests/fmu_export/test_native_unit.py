@@ -10,6 +10,7 @@ from fmu_export.model_description import ModelExchange
 from fmu_export.native_unit import (
     GUID_SIZE,
     NativeUnit,
+    constants_header,
     start_value_file,
     start_value_source,
     struct_initializer,
@@ -164,12 +165,46 @@ def test_states_and_derivatives_are_value_references(unit):
     assert entries(plain) == entries(text)
 
 
+def test_constants_and_enumerations_are_those_of_python(unit):
+    text = constants_header(replace(unit, constants={"TANK_MOST": 7, "TANK_LEAST": 1e-300}))
+    assert text.splitlines()[1:-1] == [
+        "#ifndef TANK_CONSTANTS_H",
+        "#define TANK_CONSTANTS_H",
+        "",
+        "enum { TANK_MOST = 7 };",
+        "#define TANK_LEAST 1e-300",
+        "enum { TANK_STATE_EMPTY = 1, TANK_STATE_FULL = 2 }; /* state */",
+        "enum { TANK_VALVE_SHUT = 1, TANK_VALVE_HALF = 2, TANK_VALVE_OPEN = 3 }; /* valve */",
+        "",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("constants", "message"),
+    [
+        ({"MOST-PUMPS": 1}, "the name 'MOST-PUMPS' of a constant is not a C identifier"),
+        ({"MOST": 2**31}, "the constant MOST must be finite, or an integer of 32 bits, found 2147483648"),
+        ({"MOST": math.inf}, "the constant MOST must be finite, .*, found inf"),
+    ],
+)
+def test_constant_that_c_cannot_have_is_refused(constants, message, unit):
+    with pytest.raises(ValueError, match=message):
+        constants_header(replace(unit, constants=constants))
+
+
+def test_item_that_c_cannot_have_is_refused(unit):
+    valve = replace(INTERFACE.by_name["valve"], items=("half open", "shut", "open"))
+    with pytest.raises(ValueError, match="the name 'TANK_VALVE_HALF OPEN' of a constant is not a C identifier"):
+        constants_header(replace(unit, interface=replace(INTERFACE, variables=(valve,))))
+
+
 def test_files_of_a_unit_are_its_own_the_adapter_the_headers_and_the_table(unit):
     files = unit_files(unit)
     assert set(files) == {
         "tank.c",
         "tank.h",
         "tank_fmu.c",
+        "tank_constants.h",
         "tank_table.h",
         "fmi2_adapter.c",
         "fmu_instance.c",

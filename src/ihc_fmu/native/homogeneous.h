@@ -5,11 +5,11 @@
  *     blocks behind its own;  r = ||x||_d, eq. (12);  s = r^-mu
  *     u = K_0 x + g z,  g_ij = Kz_ij s^(e_j + 1),  Kz = (K - K_0) T^-1          eq. (8), Remark 5
  *
- * Matrices are packed by rows for the sizes that a design has. A unit for one chain of a fixed order defines before it
- * includes this header
- *     HOMOGENEOUS_ORDER         the order n
- *     HOMOGENEOUS_CHAIN         1: n blocks of one coordinate, one input
- * and has all sizes known to the compiler; others have sizes up to n = 16 states and m = 8 inputs in the design.
+ * Matrices are packed by rows for the sizes that a design has. A unit defines before it includes this header
+ *     HOMOGENEOUS_ORDER         the order n, for a chain; the most states that a design has
+ *     HOMOGENEOUS_INPUTS        the number m of inputs, 1 for a chain; the most inputs that a design has
+ *     HOMOGENEOUS_CHAIN         1: n blocks of one coordinate, one input; 0: any blocks, the sizes are in the design
+ * and includes its generated constants, of which those of `native_core.py` are used here.
  *
  * Pure functions of their arguments: no allocation, no globals, no input or output, every loop bounded. The order of
  * operations is that of the Python twin, `homogeneity.py` and `laws.py`.
@@ -21,39 +21,13 @@
 #include <math.h>
 #include <stdlib.h>
 
-#ifndef HOMOGENEOUS_CHAIN
-#define HOMOGENEOUS_CHAIN 0
-#define HOMOGENEOUS_ORDER 16
-#endif
-
 enum {
     BLOCK_ORDER = HOMOGENEOUS_ORDER,
-    BLOCK_INPUTS = HOMOGENEOUS_CHAIN ? 1 : 8,
+    BLOCK_INPUTS = HOMOGENEOUS_INPUTS,
     BLOCK_SQUARE = BLOCK_ORDER * BLOCK_ORDER,
     BLOCK_GAINS = BLOCK_INPUTS * BLOCK_ORDER,
-    COEFFICIENTS = 2 * BLOCK_ORDER - 1,
-    NEWTON_LIMIT = 100,
-    MOST_BISECTIONS = 60, /* of Algorithm 1 in a sample */
-    FAR_APART = 100,      /* binary orders of magnitude between r and a norm beyond which N(r) is taken for 0 or infinite */
-    REFINEMENTS = 3,
-    SHIFT = 600 /* states beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times them */
+    COEFFICIENTS = 2 * BLOCK_ORDER - 1
 };
-
-#define LEAST 0x1p-1000         /* smaller measurements and filtered values count as 0 ... */
-#define LEAST_ESTIMATE 0x1p-300 /* ... and smaller estimates of an observer */
-#define LEAST_GUESS 1e-12 /* a guess of the norm is used between these two [1] */
-#define LARGEST_GUESS 1e12
-#define LEAST_ORDINARY 0x1p-200 /* block coordinates between these two need no scaling ... */
-#define MOST_ORDINARY 0x1p200
-#define NEGLIGIBLE 0x1p-500 /* ... and this small they are nothing beside others near 1 */
-#define UNBOUNDED 1e9       /* stands for the logarithm of a norm that is not known yet */
-#define SMALL 0x1p-600      /* 2^-SHIFT, 2^SHIFT */
-#define LARGE 0x1p600
-#define MOST 0x1p400      /* beyond any limit of an input */
-#define CONVERGED 1e-9    /* a Newton step so small leaves an error of its square */
-#define CANCELLED 1e-3    /* of its terms' sizes: a smaller sum is added anew in twice the precision */
-#define MOST_EXACT 0x1p900 /* sum of the sizes of products up to which their factors are split */
-#define SPLIT 134217729.0 /* 2^27 + 1: halves a double's digits (Dekker 1971) */
 
 /* A design, prepared for the laws; filled by its user up to Pz, for which P is given, and by prepare_block_design from there. */
 typedef struct {

@@ -90,14 +90,15 @@ regulator_status regulator_prepare(const regulator_params *p, regulator_prepared
     if (regulator_contradicting_limit(p) >= 0) {
         return REGULATOR_LIMITS;
     }
-    if (p->estimator == REGULATOR_MEASURED && p->output_count != n) {
+    if (p->estimator == REGULATOR_ESTIMATOR_MEASURED_STATE && p->output_count != n) {
         return REGULATOR_MEASURED_STATES;
     }
-    if (p->estimator != REGULATOR_MEASURED && fabs(p->filter_sample_time - p->sample_time) > 1e-9 * p->sample_time) {
+    if (p->estimator != REGULATOR_ESTIMATOR_MEASURED_STATE
+        && fabs(p->filter_sample_time - p->sample_time) > 1e-9 * p->sample_time) {
         return REGULATOR_FILTER_TIME;
     }
-    q->search = (norm_search){p->norm_solver == REGULATOR_EXACT, p->a_min, p->b_max, p->j_max};
-    q->ahead = p->discretization == REGULATOR_SEMI_IMPLICIT ? p->sample_time : 0.0;
+    q->search = (norm_search){p->norm_solver == REGULATOR_NORM_SOLVER_EXACT, p->a_min, p->b_max, p->j_max};
+    q->ahead = p->discretization == REGULATOR_DISCRETIZATION_SEMI_IMPLICIT ? p->sample_time : 0.0;
     for (int i = 0; i < INPUTS; i++) {
         q->idle[i] = i < m ? clamp(0.0, p->lower[i], p->upper[i]) : 0.0;
     }
@@ -137,7 +138,9 @@ static int deviations(const regulator_params *p, const double *values, double *f
 static void first_estimate(const regulator_params *p, const double *y, double *x)
 {
     for (int i = 0; i < p->state_count; i++) {
-        x[i] = p->estimator == REGULATOR_MEASURED ? y[i] : dot(&p->first[i * p->output_count], y, p->output_count);
+        x[i] = p->estimator == REGULATOR_ESTIMATOR_MEASURED_STATE
+            ? y[i]
+            : dot(&p->first[i * p->output_count], y, p->output_count);
     }
 }
 
@@ -175,7 +178,7 @@ static int estimate(const regulator_params *p, regulator_state *s, const double 
     double x[STATES];
     const int primed = s->primed;
     s->primed = 1;
-    if (p->estimator != REGULATOR_MEASURED && primed) {
+    if (p->estimator != REGULATOR_ESTIMATOR_MEASURED_STATE && primed) {
         return kalman_step(p, s, y);
     }
     first_estimate(p, y, x);
@@ -196,25 +199,25 @@ static void error_of(const regulator_params *p, const double *x, const double *r
 
 static int fail(const regulator_prepared *q, regulator_state *s, int32_t fault)
 {
-    const int known = s->mode == REGULATOR_FAULT;
+    const int known = s->mode == REGULATOR_MODE_FAULT;
     memcpy(s->command, q->idle, sizeof s->command);
     s->norm_used = 1.0;
     if (known) {
         return REGULATOR_OK;
     }
-    s->mode = REGULATOR_FAULT;
+    s->mode = REGULATOR_MODE_FAULT;
     s->fault = fault;
     return REGULATOR_NEW_FAULT;
 }
 
 static void next_mode(const regulator_params *p, regulator_state *s)
 {
-    if (p->enabled && s->mode != REGULATOR_STABILIZING) {
+    if (p->enabled && s->mode != REGULATOR_MODE_STABILIZING) {
         s->interval[0] = p->a_min;
         s->interval[1] = p->b_max;
         memset(s->v, 0, sizeof s->v);
     }
-    s->mode = p->enabled ? REGULATOR_STABILIZING : REGULATOR_IDLE;
+    s->mode = p->enabled ? REGULATOR_MODE_STABILIZING : REGULATOR_MODE_IDLE;
 }
 
 /* Advance the integral action, but for entries that would push a command farther beyond its limit; 0 where not finite. */
@@ -241,7 +244,7 @@ static int command(const regulator_params *p, const regulator_prepared *q, regul
 {
     const int n = p->state_count, m = p->input_count;
     double u[INPUTS];
-    if (p->law == REGULATOR_LC) {
+    if (p->law == REGULATOR_LAW_LC) {
         for (int i = 0; i < m; i++) {
             u[i] = dot(&p->K[i * n], error, n);
         }
@@ -259,12 +262,12 @@ static int command(const regulator_params *p, const regulator_prepared *q, regul
         u[i] = u[i] + s->v[i] + p->input_equilibrium[i];
     }
     if (!all_finite(u, m)) {
-        return fail(q, s, REGULATOR_BAD_CONTROL);
+        return fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL);
     }
     for (int i = 0; i < m; i++) {
         s->command[i] = clamp(u[i], p->lower[i], p->upper[i]);
     }
-    return q->integrates && !integrate(p, q, s, state, u) ? fail(q, s, REGULATOR_BAD_CONTROL) : REGULATOR_OK;
+    return q->integrates && !integrate(p, q, s, state, u) ? fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL) : REGULATOR_OK;
 }
 
 static int sample(const regulator_params *p, const regulator_prepared *q, regulator_state *s, const regulator_inputs *u)
@@ -273,26 +276,26 @@ static int sample(const regulator_params *p, const regulator_prepared *q, regula
     block_state state;
     const uint32_t bad = bad_inputs(p, u);
     if (bad) {
-        s->bad_inputs = s->mode == REGULATOR_FAULT ? s->bad_inputs : bad;
-        return fail(q, s, REGULATOR_BAD_INPUT);
+        s->bad_inputs = s->mode == REGULATOR_MODE_FAULT ? s->bad_inputs : bad;
+        return fail(q, s, REGULATOR_FAULT_NON_FINITE_INPUT);
     }
-    if (s->mode == REGULATOR_FAULT) {
+    if (s->mode == REGULATOR_MODE_FAULT) {
         return REGULATOR_OK;
     }
     deviations(p, u->measurement, y);
     const int any = deviations(p, u->setpoint, r);
     if (!estimate(p, s, y)) {
-        return fail(q, s, REGULATOR_BAD_CONTROL);
+        return fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL);
     }
     error_of(p, s->x, r, any, error);
     if (!all_finite(error, p->state_count)) {
-        return fail(q, s, REGULATOR_BAD_CONTROL);
+        return fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL);
     }
     make_block_state(&q->design, error, &state);
     s->norm = homogeneous_norm(&q->design, &state.polynomial, s->norm);
     next_mode(p, s);
     s->norm_used = 1.0;
-    if (s->mode == REGULATOR_IDLE) {
+    if (s->mode == REGULATOR_MODE_IDLE) {
         memcpy(s->command, q->idle, sizeof s->command);
         return REGULATOR_OK;
     }
@@ -304,8 +307,8 @@ void regulator_initialize(const regulator_params *p, const regulator_prepared *q
 {
     memset(s, 0, sizeof *s);
     s->clock.start_time = time;
-    s->mode = REGULATOR_IDLE;
-    s->fault = REGULATOR_NO_FAULT;
+    s->mode = REGULATOR_MODE_IDLE;
+    s->fault = REGULATOR_FAULT_NONE;
     s->norm_used = 1.0;
     s->interval[0] = p->a_min;
     s->interval[1] = p->b_max;
@@ -341,7 +344,8 @@ int regulator_step(const regulator_params *p, const regulator_prepared *q, regul
 
 void regulator_get_outputs(const regulator_params *p, const regulator_state *s, regulator_outputs *y)
 {
-    const double *at_rest = p->estimator == REGULATOR_MEASURED ? p->output_equilibrium : p->state_equilibrium;
+    const double *at_rest =
+        p->estimator == REGULATOR_ESTIMATOR_MEASURED_STATE ? p->output_equilibrium : p->state_equilibrium;
     memset(y, 0, sizeof *y);
     for (int i = 0; i < p->input_count; i++) {
         y->command[i] = s->command[i];

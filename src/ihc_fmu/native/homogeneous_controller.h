@@ -13,17 +13,13 @@
 #ifndef HOMOGENEOUS_CONTROLLER_H
 #define HOMOGENEOUS_CONTROLLER_H
 
+#include "homogeneous_controller_constants.h" /* generated from what Python has */
+
+#define HOMOGENEOUS_ORDER REGULATOR_STATES
+#define HOMOGENEOUS_INPUTS REGULATOR_INPUTS
+#define HOMOGENEOUS_CHAIN 0
 #include "homogeneous.h"
 #include "sample_clock.h"
-
-enum { REGULATOR_STATES = 16, REGULATOR_INPUTS = 8, REGULATOR_OUTPUTS = 16 }; /* the most n, m, p */
-
-enum { REGULATOR_LC = 1, REGULATOR_IHC };                                 /* law */
-enum { REGULATOR_ALGORITHM1 = 1, REGULATOR_EXACT };                       /* norm_solver */
-enum { REGULATOR_EXPLICIT = 1, REGULATOR_SEMI_IMPLICIT };                 /* discretization */
-enum { REGULATOR_MEASURED = 1, REGULATOR_KALMAN };                        /* estimator */
-enum { REGULATOR_IDLE = 1, REGULATOR_STABILIZING, REGULATOR_FAULT };      /* mode */
-enum { REGULATOR_NO_FAULT = 1, REGULATOR_BAD_INPUT, REGULATOR_BAD_CONTROL }; /* fault */
 
 typedef enum {
     REGULATOR_OK = 0,
@@ -80,11 +76,11 @@ typedef struct {
     double command[REGULATOR_INPUTS];
     double homogeneous_norm;                        /* ||e||_d [1] */
     double homogeneous_norm_used;                   /* r in the law [1] */
-    int mode;                                       /* REGULATOR_IDLE ... */
+    int mode;                                       /* REGULATOR_MODE_IDLE ... */
     double state_estimate[REGULATOR_STATES];
     double disturbance_estimate[REGULATOR_INPUTS];
     double bias_estimate[REGULATOR_OUTPUTS];
-    int fault;                                      /* REGULATOR_NO_FAULT ... */
+    int fault;                                      /* REGULATOR_FAULT_NONE ... */
 } regulator_outputs;
 
 /* What follows from the parameters alone; made by regulator_prepare, again after a parameter changed. */

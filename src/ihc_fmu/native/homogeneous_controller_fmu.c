@@ -44,12 +44,12 @@ static void explain_fault(const char *const *names, const regulator_state *s, co
 {
     size_t length = 0;
     length += (size_t)snprintf(text, size, "fault %s: ",
-                               s->fault == REGULATOR_BAD_INPUT ? "non_finite_input" : "non_finite_control");
-    if (s->fault != REGULATOR_BAD_INPUT) {
+                               s->fault == REGULATOR_FAULT_NON_FINITE_INPUT ? "non_finite_input" : "non_finite_control");
+    if (s->fault != REGULATOR_FAULT_NON_FINITE_INPUT) {
         length += (size_t)snprintf(text + length, size - length, "the command is not finite");
     }
     const char *between = "";
-    for (int i = 0; i < 2 * REGULATOR_OUTPUTS && s->fault == REGULATOR_BAD_INPUT && length < size; i++) {
+    for (int i = 0; i < 2 * REGULATOR_OUTPUTS && s->fault == REGULATOR_FAULT_NON_FINITE_INPUT && length < size; i++) {
         if (s->bad_inputs & 1u << i) {
             const int j = i % REGULATOR_OUTPUTS;
             const double input = i < REGULATOR_OUTPUTS ? u->measurement[j] : u->setpoint[j];

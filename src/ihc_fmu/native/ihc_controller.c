@@ -172,15 +172,15 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
     if (p->capture_angle > p->fall_back_angle) {
         return IHC_ANGLES;
     }
-    if (p->velocity_source == IHC_VELOCITY_KALMAN
+    if (p->velocity_source == IHC_VELOCITY_SOURCE_KALMAN
         && fabs(p->kalman_sample_time - p->sample_time) > 1e-9 * p->sample_time) {
         return IHC_KALMAN_TIME;
     }
     q->decay = flushed(exp(-p->velocity_filter_cutoff * p->sample_time), LEAST);
     q->bias_decay = exp(-BIAS_DECAY * p->sample_time);
     alpha_beta_gains(p->observer_acceleration_noise, p->observer_resolution, p->sample_time, q->observer_gain);
-    q->search = (norm_search){p->norm_solver == IHC_NORM_EXACT, p->a_min, p->b_max, p->j_max};
-    q->ahead = p->discretization == IHC_SEMI_IMPLICIT ? p->sample_time : 0.0;
+    q->search = (norm_search){p->norm_solver == IHC_NORM_SOLVER_EXACT, p->a_min, p->b_max, p->j_max};
+    q->ahead = p->discretization == IHC_DISCRETIZATION_SEMI_IMPLICIT ? p->sample_time : 0.0;
     return IHC_OK;
 }
 
@@ -201,7 +201,7 @@ static void observed_state(const ihc_state *s, double x[N])
 
 static void first_estimate(const ihc_params *p, const ihc_inputs *u, double x[N])
 {
-    const int measured = p->velocity_source == IHC_VELOCITY_INPUTS;
+    const int measured = p->velocity_source == IHC_VELOCITY_SOURCE_INPUTS;
     x[0] = u->theta;
     x[1] = wrap(u->delta);
     x[2] = measured ? u->theta_dot : 0.0;
@@ -238,10 +238,10 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
     const double delta = unwrap(s, u->delta); /* for those who differentiate; whole turns cost it small digits */
     x[0] = u->theta;
     x[1] = wrap(u->delta);
-    if (p->velocity_source == IHC_VELOCITY_INPUTS) {
+    if (p->velocity_source == IHC_VELOCITY_SOURCE_INPUTS) {
         x[2] = u->theta_dot;
         x[3] = u->delta_dot;
-    } else if (p->velocity_source == IHC_VELOCITY_KALMAN) {
+    } else if (p->velocity_source == IHC_VELOCITY_SOURCE_KALMAN) {
         if (fabs(x[1]) > p->kalman_angle) {
             s->disturbance = s->bias = 0.0;
             observe(p, q, s, u->theta, delta);
@@ -252,7 +252,7 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
     } else {
         s->theta_dot = x[2] = filter_velocity(p->velocity_filter_cutoff, q->decay, &s->theta_lag, u->theta);
         s->delta_dot = x[3] = filter_velocity(p->velocity_filter_cutoff, q->decay, &s->delta_lag, delta);
-        if (s->mode == IHC_STABILIZING && fabs(x[1]) <= p->fall_back_angle) {
+        if (s->mode == IHC_MODE_STABILIZING && fabs(x[1]) <= p->fall_back_angle) {
             s->observed[0] = u->theta;
             s->observed[1] = delta;
             s->observed[2] = x[2];
@@ -267,15 +267,15 @@ static void estimate(const ihc_params *p, const ihc_prepared *q, ihc_state *s, c
 static int32_t next_mode(const ihc_params *p, int32_t mode, double level, double delta, double delta_dot)
 {
     if (!p->enabled) {
-        return IHC_IDLE;
+        return IHC_MODE_IDLE;
     }
-    if (mode == IHC_STABILIZING && fabs(delta) <= p->fall_back_angle) {
-        return IHC_STABILIZING;
+    if (mode == IHC_MODE_STABILIZING && fabs(delta) <= p->fall_back_angle) {
+        return IHC_MODE_STABILIZING;
     }
     if (level < p->capture_level && fabs(delta) < p->capture_angle && fabs(delta_dot) < p->capture_velocity) {
-        return IHC_STABILIZING;
+        return IHC_MODE_STABILIZING;
     }
-    return p->swing_up_enabled ? IHC_SWING_UP : IHC_IDLE;
+    return p->swing_up_enabled ? IHC_MODE_SWING_UP : IHC_MODE_IDLE;
 }
 
 static double swing_up_voltage(const ihc_params *p, const double x[N])
@@ -308,13 +308,13 @@ static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ih
 
 static ihc_status fail(ihc_state *s, int32_t fault)
 {
-    const int known = s->mode == IHC_FAULT;
+    const int known = s->mode == IHC_MODE_FAULT;
     s->voltage = 0.0;
     s->norm_used = 1.0;
     if (known) {
         return IHC_OK;
     }
-    s->mode = IHC_FAULT;
+    s->mode = IHC_MODE_FAULT;
     s->fault = fault;
     return IHC_NEW_FAULT;
 }
@@ -331,10 +331,10 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     block_state chain;
     const int32_t bad = bad_inputs(u);
     if (bad) {
-        s->bad_inputs = s->mode == IHC_FAULT ? s->bad_inputs : bad;
-        return fail(s, IHC_FAULT_INPUT);
+        s->bad_inputs = s->mode == IHC_MODE_FAULT ? s->bad_inputs : bad;
+        return fail(s, IHC_FAULT_NON_FINITE_INPUT);
     }
-    if (s->mode == IHC_FAULT) {
+    if (s->mode == IHC_MODE_FAULT) {
         return IHC_OK;
     }
     const ihc_inputs measured = {flushed(u->theta, LEAST), flushed(u->delta, LEAST), flushed(u->theta_dot, LEAST),
@@ -345,16 +345,16 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
         prime(p, s, &measured, x);
     }
     if (!isfinite(x[0] + x[1] + x[2] + x[3])) {
-        return fail(s, IHC_FAULT_CONTROL);
+        return fail(s, IHC_FAULT_NON_FINITE_CONTROL);
     }
     make_block_state(&q->design, x, &chain);
     s->norm = homogeneous_norm(&q->design, &chain.polynomial, s->norm);
     const int32_t earlier = s->mode;
     s->mode = next_mode(p, earlier, squared_norm(&q->design, &chain.polynomial, 1.0), x[1], x[3]);
-    if (s->mode == IHC_STABILIZING && earlier != IHC_STABILIZING) {
+    if (s->mode == IHC_MODE_STABILIZING && earlier != IHC_MODE_STABILIZING) {
         s->interval[0] = p->a_min;
         s->interval[1] = p->b_max;
-        if (p->velocity_source == IHC_VELOCITY_FILTER) {
+        if (p->velocity_source == IHC_VELOCITY_SOURCE_FILTER) {
             x[0] = measured.theta;
             x[1] = wrap(measured.delta);
             x[2] = s->theta_dot;
@@ -366,16 +366,16 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     s->theta_dot = x[2];
     s->delta_dot = x[3];
     s->norm_used = 1.0;
-    if (s->mode == IHC_SWING_UP) {
+    if (s->mode == IHC_MODE_SWING_UP) {
         command = swing_up_voltage(p, x);
-    } else if (s->mode == IHC_STABILIZING) {
+    } else if (s->mode == IHC_MODE_STABILIZING) {
         command = stabilizing_voltage(p, q, s, x, &chain);
         if (p->compensate_disturbance) {
             command -= s->disturbance;
         }
     }
     if (!isfinite(command)) {
-        return fail(s, IHC_FAULT_CONTROL);
+        return fail(s, IHC_FAULT_NON_FINITE_CONTROL);
     }
     s->voltage = clamp(command, -p->voltage_limit, p->voltage_limit);
     return IHC_OK;
@@ -386,7 +386,7 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     static const ihc_state zero;
     *s = zero;
     s->clock.start_time = time;
-    s->mode = IHC_IDLE;
+    s->mode = IHC_MODE_IDLE;
     s->fault = IHC_FAULT_NONE;
     s->norm_used = 1.0;
     s->interval[0] = p->a_min;

@@ -13,19 +13,13 @@
 #ifndef IHC_CONTROLLER_H
 #define IHC_CONTROLLER_H
 
-enum { IHC_ORDER = 4 };
+#include "ihc_controller_constants.h" /* generated from what Python has */
 
-#define HOMOGENEOUS_ORDER 4
+#define HOMOGENEOUS_ORDER IHC_ORDER
+#define HOMOGENEOUS_INPUTS 1
 #define HOMOGENEOUS_CHAIN 1
 #include "homogeneous.h"
 #include "sample_clock.h"
-
-enum { IHC_LAW_LC = 1, IHC_LAW_SMC, IHC_LAW_IHC };                       /* law */
-enum { IHC_NORM_ALGORITHM1 = 1, IHC_NORM_EXACT };                        /* norm_solver */
-enum { IHC_EXPLICIT = 1, IHC_SEMI_IMPLICIT };                            /* discretization */
-enum { IHC_VELOCITY_FILTER = 1, IHC_VELOCITY_INPUTS, IHC_VELOCITY_KALMAN }; /* velocity_source */
-enum { IHC_IDLE = 1, IHC_SWING_UP, IHC_STABILIZING, IHC_FAULT };         /* mode */
-enum { IHC_FAULT_NONE = 1, IHC_FAULT_INPUT, IHC_FAULT_CONTROL };         /* fault */
 
 typedef enum {
     IHC_OK = 0,
@@ -91,7 +85,7 @@ typedef struct {
     double voltage;               /* [V] */
     double homogeneous_norm;      /* ||x||_d [1] */
     double homogeneous_norm_used; /* r in the law [1] */
-    int mode;                     /* IHC_IDLE ... IHC_FAULT */
+    int mode;                     /* IHC_MODE_IDLE ... IHC_MODE_FAULT */
     double theta_dot_estimate;    /* [rad/s] */
     double delta_dot_estimate;    /* [rad/s] */
     double disturbance_estimate;  /* [V] */

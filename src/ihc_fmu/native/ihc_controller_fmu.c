@@ -46,14 +46,14 @@ static void explain_fault(const char *const *names, const ihc_state *s, const ih
     const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot};
     char cause[256] = "the command is not finite";
     int length = 0;
-    for (int i = 0; i < 4 && s->fault == IHC_FAULT_INPUT; i++) {
+    for (int i = 0; i < 4 && s->fault == IHC_FAULT_NON_FINITE_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
             const char *value = isnan(values[i]) ? "nan" : values[i] > 0.0 ? "inf" : "-inf"; /* on every platform */
             length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", measured[i], value);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",
-             s->fault == IHC_FAULT_INPUT ? "non_finite_input" : "non_finite_control", cause);
+             s->fault == IHC_FAULT_NON_FINITE_INPUT ? "non_finite_input" : "non_finite_control", cause);
 }
 
 static fmu_severity explain(int status, const char *const *names, const void *parameters, const void *state,

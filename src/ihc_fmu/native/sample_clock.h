@@ -7,8 +7,6 @@
 #include <math.h>
 #include <stdint.h>
 
-enum { MOST_SAMPLES = 1000000 }; /* in one communication step */
-
 enum {
     CLOCK_OK = 0,
     CLOCK_INPUTS_HELD = 100, /* the step worked; it is the first that held its inputs over several samples */

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from fmu_export.variables import Interface, Value, Variable
 
+from ..homogeneity import MOST_BISECTIONS
 from ..sampled_unit import FAULTS
 
 ORDER = 4
@@ -156,7 +157,7 @@ INTERFACE = Interface(
             max=1e12,
         ),
         _tunable("b_max", 1.0, "1", "largest value of the norm in the law", min=1e-6, max=1e12),
-        _tunable("j_max", 3, "1", "bisections per sample in Algorithm 1", type="Integer", min=1, max=60),
+        _tunable("j_max", 3, "1", "bisections per sample in Algorithm 1", type="Integer", min=1, max=MOST_BISECTIONS),
         _choice("norm_solver", "algorithm1", NORM_SOLVERS, "how the norm in the law is computed"),
         _choice("discretization", "explicit", DISCRETIZATIONS, "state in the law: the present or the next sample's"),
         *_gain_row("smc_c", "sliding surface s = c x, c b = 1", SURFACE_UNITS),

@@ -14,7 +14,7 @@ from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 from ..companion import chain_form
 from ..design import Design
 from ..homogeneity import dot, solve
-from ..kalman import kalman_gain, linearize
+from .kalman import kalman_gain, linearize
 from ..sliding_mode import SlidingMode, fitted_smc
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector

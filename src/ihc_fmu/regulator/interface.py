@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from fmu_export.errors import UserError, shown
 from fmu_export.variables import Interface, Value, Variable
 
+from ..homogeneity import MOST_BISECTIONS
 from ..sampled_unit import FAULTS
 
 STATES, INPUTS, OUTPUTS = 16, 8, 16
@@ -120,7 +121,7 @@ INTERFACE = Interface(
             max=1e12,
         ),
         _tunable("b_max", 1.0, "largest value of the norm in the law", min=1e-6, max=1e12),
-        _tunable("j_max", 3, "bisections per sample in Algorithm 1", type="Integer", min=1, max=60),
+        _tunable("j_max", 3, "bisections per sample in Algorithm 1", type="Integer", min=1, max=MOST_BISECTIONS),
         _choice("norm_solver", "exact", NORM_SOLVERS, "how the norm in the law is computed"),
         _choice(
             "discretization", "semi_implicit", DISCRETIZATIONS, "state in the law: the present or the next sample's"

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from fmu_export.native_unit import NativeUnit
 
-from ..native_core import FOLDER, HEADERS
-from .interface import INTERFACE
+from ..native_core import CONSTANTS, FOLDER, HEADERS
+from .interface import INPUTS, INTERFACE, OUTPUTS, STATES
 from .unit import HomogeneousControllerUnit
 
 NATIVE = NativeUnit(
@@ -18,4 +18,5 @@ NATIVE = NativeUnit(
     stem="homogeneous_controller",
     prefix="regulator",
     common=HEADERS,
+    constants={**CONSTANTS, "REGULATOR_STATES": STATES, "REGULATOR_INPUTS": INPUTS, "REGULATOR_OUTPUTS": OUTPUTS},
 )

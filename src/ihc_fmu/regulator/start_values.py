@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from fmu_export.errors import UserError
 from fmu_export.variables import Interface, Value
 
+from ..design import Design
 from .interface import ESTIMATORS, UNLIMITED, Shape, numbered, shown_interface
 
 Array = np.ndarray
+
+_DEFAULT: Any = None
+"""Stands for zeros, or for no limits, in a Regulator that is being made."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -53,15 +58,15 @@ class Regulator:
     P: Array
     mu: float
     sample_time: float
-    lower: Array | None = None
-    upper: Array | None = None
-    x_eq: Array | None = None
-    u_eq: Array | None = None
-    y_eq: Array | None = None
+    lower: Array = _DEFAULT
+    upper: Array = _DEFAULT
+    x_eq: Array = _DEFAULT
+    u_eq: Array = _DEFAULT
+    y_eq: Array = _DEFAULT
     filter: LinearFilter | None = None
-    N_x: Array | None = None
-    N_u: Array | None = None
-    K_i: Array | None = None
+    N_x: Array = _DEFAULT
+    N_u: Array = _DEFAULT
+    K_i: Array = _DEFAULT
 
     def __post_init__(self) -> None:
         n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
@@ -110,6 +115,55 @@ class Regulator:
         return replace(interface, variables=tuple(shown)), values
 
 
+def design_regulator(design: Design, estimator: LinearFilter | None = None, K_i: Array | None = None) -> Regulator:
+    """Return what the controller FMU of a design needs; `estimator` and the integral gain K_i as in `Regulator`.
+
+    The set-points of its system become matrices by `set_point_matrices`. Raises UserError where the states are not measured
+    and there is no estimator, for set-points that cannot be held, and as `Regulator`.
+    """
+    system, form = design.system, design.form
+    if estimator is None and not system.measures_state:
+        raise UserError(f"{system.name} does not measure its states, so that its controller needs an estimator")
+    A, B, C = system.A, system.B, _array(system.C)
+    N_x, N_u = set_point_matrices(A, B, C, [system.output(name) for name in system.set_points])
+    shape = Shape(
+        name=system.name,
+        states=tuple((q.name, q.unit) for q in system.states),
+        inputs=tuple((q.name, q.unit) for q in system.inputs),
+        outputs=tuple((q.name, q.unit) for q in system.outputs),
+        set_points=system.set_points,
+        biases=system.biases if estimator is not None else (),
+        estimated=estimator is not None,
+    )
+    return Regulator(
+        shape=shape,
+        exponents=form.exponents,
+        T=form.T,
+        N=form.N,
+        B=form.Bz,
+        K_0=form.K_0,
+        K=design.K,
+        P=design.P,
+        mu=design.mu,
+        sample_time=system.sample_time,
+        lower=_array(system.lower),
+        upper=_array(system.upper),
+        x_eq=_array(system.x_eq),
+        u_eq=_array(system.u_eq),
+        y_eq=_array(system.y_eq),
+        filter=estimator,
+        N_x=N_x,
+        N_u=N_u,
+        K_i=_DEFAULT if K_i is None else K_i,
+    )
+
+
+def _array(value: Array | None) -> Array:
+    """Return what a system has made an array of."""
+    assert value is not None
+    return value
+
+
 def _checked(name: str, value: object, shape: tuple[int, ...], *, finite: bool = True) -> Array:
     found = np.asarray(value, dtype=float)
     if found.shape != shape:
@@ -119,8 +173,7 @@ def _checked(name: str, value: object, shape: tuple[int, ...], *, finite: bool =
     return found
 
 
-def _bounded(limits: Array | None) -> Array:
-    assert limits is not None
+def _bounded(limits: Array) -> Array:
     return np.clip(limits, -UNLIMITED, UNLIMITED)
 
 

@@ -3,8 +3,6 @@
 #include <math.h>
 
 static const double PI = 3.14159265358979323846;
-static const double STEPS_PER_TIME_CONSTANT = 2.0;
-static const double LEAST = 0x1p-300; /* smaller states, voltages and torques count as 0: see integrator.LEAST */
 
 qube_coefficients qube_lump(const qube_params *p)
 {
@@ -28,7 +26,7 @@ qube_coefficients qube_lump(const qube_params *p)
 void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
               double pendulum_torque, double dx[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
     const double tau = inductance ? c->k_m * x[4] : c->k_m * (voltage - c->k_e * x[2]) / c->R_m;
     dx[0] = x[2];
     dx[1] = x[3];
@@ -41,7 +39,7 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
                         double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
                         double dvoltage, double dtorque, double out[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_INDUCTANCE;
+    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
     const pendulum_coefficients *e = &c->pendulum;
     const double s = sin(x[1]), k = cos(x[1]), ds = k * dx[1], dk = -s * dx[1];
     const double v = x[2], w = x[3], dv = dx[2], dw = dx[3];
@@ -152,7 +150,7 @@ static double clamp(double value, double limit)
 
 static double flushed(double value)
 {
-    return fabs(value) > 0.0 && fabs(value) < LEAST ? 0.0 : value;
+    return fabs(value) > 0.0 && fabs(value) < QUBE_LEAST ? 0.0 : value;
 }
 
 /* A plant under held inputs. */
@@ -183,8 +181,8 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
     if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
         return QUBE_INPUT_NOT_FINITE;
     }
-    if (p->motor_model == QUBE_MOTOR_INDUCTANCE) {
-        longest = fmin(longest, p->L_m / p->R_m / STEPS_PER_TIME_CONSTANT);
+    if (p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE) {
+        longest = fmin(longest, p->L_m / p->R_m / (double)QUBE_STEPS_PER_TIME_CONSTANT);
     }
     const double count = substeps(step, longest);
     if (count > (double)QUBE_MAX_SUBSTEPS) {
@@ -241,7 +239,7 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
     y->delta_dot = s->x[3];
     y->theta_encoder = s->delay_line[s->oldest][0];
     y->delta_encoder = s->delay_line[s->oldest][1];
-    y->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
+    y->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
     y->motor_torque = c.k_m * y->current;
     y->energy = pendulum_energy(&c.pendulum, y->delta, y->theta_dot, y->delta_dot);
     y->theta_ddot = rate[2];
@@ -251,7 +249,7 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
 
 int qube_state_count(const qube_params *p)
 {
-    return p->motor_model == QUBE_MOTOR_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
+    return p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
 }
 
 qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
@@ -284,7 +282,7 @@ void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *
     dy->delta_dot = dx[3];
     dy->theta_encoder = seen * dx[0];
     dy->delta_encoder = seen * dx[1];
-    dy->current = p->motor_model == QUBE_MOTOR_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
+    dy->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
     dy->motor_torque = c.k_m * dy->current;
     dy->energy = (c.pendulum.zeta_4 * sine * cosine * v * v + c.pendulum.varpi_2 * sine * v * w - c.pendulum.gravity * sine) * dx[1]
         + ((c.pendulum.J_11 + c.pendulum.zeta_4 * sine * sine) * v - c.pendulum.varpi_2 * cosine * w) * dx[2]

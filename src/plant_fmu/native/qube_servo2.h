@@ -9,12 +9,10 @@
 
 #include <stdint.h>
 
+#include "qube_servo2_constants.h" /* generated from what Python has */
 #include "rotary_pendulum.h"
 
-enum { QUBE_STATES = PENDULUM_MOST_STATES, QUBE_MAX_DELAY = 1000, QUBE_MAX_SUBSTEPS = 1000000 };
-
-/* Values of motor_model. */
-enum { QUBE_MOTOR_STATIC = 1, QUBE_MOTOR_INDUCTANCE = 2 };
+enum { QUBE_STATES = PENDULUM_MOST_STATES };
 
 /* What a call says of itself; every status but QUBE_OK leaves the state as it was. */
 typedef enum {
@@ -45,7 +43,7 @@ typedef struct {
     double L_m;                  /* rotor inductance of the motor [H] */
     double voltage_limit;        /* the amplifier saturates at plus and minus this voltage [V] */
     int back_emf;                /* whether the turning motor induces a voltage [Boolean] */
-    int motor_model;             /* QUBE_MOTOR_STATIC or QUBE_MOTOR_INDUCTANCE */
+    int motor_model;             /* QUBE_MOTOR_MODEL_STATIC or ..._INDUCTANCE */
     double theta_0;              /* initial angle of the arm [rad] */
     double delta_0;              /* initial angle of the pendulum [rad] */
     double theta_dot_0;          /* initial angular velocity of the arm [rad/s] */

@@ -14,7 +14,8 @@
 
 enum { PENDULUM_MOST_STATES = 5 }; /* the pendulum's four and one of a motor */
 
-static const double PENDULUM_FRICTION_SPEED = 0.05; /* v_s: at this speed dry friction is half of T_r [rad/s] */
+/* PENDULUM_FRICTION_SPEED, v_s, is among the generated constants of the unit that includes this: at this speed dry
+ * friction is half of T_r [rad/s]. */
 
 /* The combinations of constants that eq. (5) consists of. */
 typedef struct {

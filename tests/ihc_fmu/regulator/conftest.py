@@ -3,6 +3,7 @@
 import platform
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,7 +103,7 @@ def names(letter, count):
     return tuple((f"{letter}{i}", "1") for i in range(1, count + 1))
 
 
-def random_regulator(n, m, p=0, mu=1.0, seed=0, *, integral=False, set_points=False, h=H):
+def random_regulator(n, m, p=0, mu=1.0, seed=0, *, integral=False, set_points=False, h=H) -> Any:
     """Return a random design; with p > 0 outputs behind a Kalman filter of state, disturbances and the last bias."""
     system, rng = random_system(n, m, mu, seed), np.random.default_rng([n, m, p, seed, 7])
     outputs = names("y", p or n)

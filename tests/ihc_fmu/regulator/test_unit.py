@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def sampled(regulator, x, **changes):
     return outputs(unit), commands(unit, regulator)
 
 
-def designed(A, B, T, e, K_0, K, P, mu, h=H, **rest):
+def designed(A, B, T, e, K_0, K, P, mu, h=H, **rest) -> Any:
     """Return the unlimited design of a model whose states are measured, in block coordinates that are given."""
     A, B, T, K_0 = (np.array(M, dtype=float) for M in (A, B, T, K_0))
     inverse = np.linalg.inv(T)
@@ -317,12 +318,12 @@ def test_filter_is_the_predictor_corrector():
     regulator = replace(regulator, lower=np.full(2, -0.4), upper=np.full(2, 0.4), u_eq=np.array([0.1, -0.2]))
     f, unit = regulator.filter, unit_of(regulator, compensate_disturbance=True)
     rng = np.random.default_rng(5)
-    x = d = b = u = None
+    x, d, b, u = None, np.zeros(2), np.zeros(3), np.zeros(2)
     for k in range(30):
         y = rng.normal(size=3)
         unit.step(k * H, H, row(regulator.y_eq + y))
         if x is None:
-            x, d, b = np.linalg.pinv(f.C) @ y, np.zeros(2), np.zeros(3)
+            x = np.linalg.pinv(f.C) @ y
         else:
             x, b = f.F @ x + f.G @ (u - regulator.u_eq + d), 0.999 * b
             e = y - f.C @ x - b

@@ -33,7 +33,7 @@ tanks_status tanks_hold(const tanks_params *p, tanks_state *s, const tanks_input
         }
     }
     for (int j = 0; j < TANKS_PUMPS; j++) {
-        s->flow[j] = p->strategy == 1 ? fmin(fmax(u->flow[j], p->low), p->high) : 0.0;
+        s->flow[j] = p->strategy == TANKS_STRATEGY_FREE ? fmin(fmax(u->flow[j], p->low), p->high) : 0.0;
     }
     return TANKS_OK;
 }
@@ -51,7 +51,7 @@ tanks_status tanks_step(const tanks_params *p, tanks_state *s, const tanks_input
 void tanks_get_outputs(const tanks_params *p, const tanks_state *s, tanks_outputs *y)
 {
     memset(y, 0, sizeof *y);
-    y->mode = 1;
+    y->mode = TANKS_MODE_CALM;
     y->corner = p->chart[TANKS_CHART - 1][TANKS_CHART - 1];
     for (int i = 0; i < p->count; i++) {
         y->level[i] = s->level[i];
@@ -59,7 +59,7 @@ void tanks_get_outputs(const tanks_params *p, const tanks_state *s, tanks_output
         y->total += p->kinds[i] * s->level[i];
     }
     for (int j = 0; j < TANKS_PUMPS; j++) {
-        y->mode = s->flow[j] > 0.0 ? 2 : y->mode;
+        y->mode = s->flow[j] > 0.0 ? TANKS_MODE_FILLING : y->mode;
     }
 }
 
@@ -69,7 +69,7 @@ void tanks_tangent(const tanks_params *p, const tanks_inputs *u, const double dx
     double flow[TANKS_PUMPS];
     memset(dy, 0, sizeof *dy);
     for (int j = 0; j < TANKS_PUMPS; j++) {
-        flow[j] = p->strategy == 1 && u->flow[j] >= p->low && u->flow[j] <= p->high ? du->flow[j] : 0.0;
+        flow[j] = p->strategy == TANKS_STRATEGY_FREE && u->flow[j] >= p->low && u->flow[j] <= p->high ? du->flow[j] : 0.0;
     }
     for (int i = 0; i < p->count; i++) {
         dy->level[i] = dx[i];

@@ -5,13 +5,13 @@
 #ifndef TANKS_H
 #define TANKS_H
 
-enum { TANKS_MOST = 16, TANKS_PUMPS = 8, TANKS_CHART = 50 };
+#include "tanks_constants.h" /* generated */
 
 typedef enum { TANKS_OK = 0, TANKS_LIMITS, TANKS_FLOW_NOT_FINITE } tanks_status;
 
 typedef struct {
     int count;                             /* of tanks */
-    int strategy;                          /* 1: flows as they are, 2: none */
+    int strategy;                          /* TANKS_STRATEGY_FREE: flows as they are, or none */
     double low, high;                      /* limits of a flow [m3/s] */
     double rate[TANKS_MOST];               /* [1/s] */
     double gain[TANKS_MOST][TANKS_PUMPS];  /* [1/m2] */
@@ -29,7 +29,7 @@ typedef struct {
     double level_rate[TANKS_MOST]; /* [m/s] */
     double total;                  /* sum of kinds_i level_i [m] */
     double corner;                 /* last entry of the chart */
-    int mode;                      /* 1 calm, 2 filling */
+    int mode;                      /* TANKS_MODE_CALM ... */
 } tanks_outputs;
 
 typedef struct {

@@ -1,0 +1,100 @@
+"""A linear model with names and units, as it comes out of an FMU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ihc_fmu.system import Quantity, System
+
+from .errors import UserError
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearModel:
+    """The linear model of an FMU about an equilibrium; SI or whatever units the FMU has.
+
+    A (n, n), B (n, m), C (p, n), D (p, m); `x_eq`, `u_eq`, `y_eq`; `residual` (n,): x' there. `lower`, `upper` (m,): limits
+    that the FMU declares for its inputs. `error`: estimated largest error, relative to the largest entry of its row.
+    `method`: how it was found, in words. `notes`: what is to be known of it.
+    """
+
+    name: str
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    states: tuple[Quantity, ...]
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    x_eq: Array
+    u_eq: Array
+    y_eq: Array
+    residual: Array
+    lower: Array
+    upper: Array
+    error: float
+    method: str
+    notes: tuple[str, ...]
+
+    def system(self, name: str | None = None, sample_time: float = 1e-3) -> System:
+        """Return the model as a System without a gain; raise UserError where an output depends on an input directly."""
+        for i, j in np.argwhere(self.D != 0.0):
+            raise UserError(
+                f"the output {self.outputs[i].name} depends on {self.inputs[j].name} directly (D = {self.D[i, j]:.4g}), "
+                "which a controller's model cannot have: leave it out"
+            )
+        measures_state = self.outputs == self.states
+        return System(
+            name=name or self.name,
+            A=self.A,
+            B=self.B,
+            C=None if measures_state else self.C,
+            states=self.states,
+            inputs=self.inputs,
+            outputs=() if measures_state else self.outputs,
+            lower=self.lower,
+            upper=self.upper,
+            sample_time=sample_time,
+            x_eq=self.x_eq,
+            u_eq=self.u_eq,
+            y_eq=self.y_eq,
+        )
+
+
+def finite_model(model: LinearModel) -> LinearModel:
+    """Return the model; raise UserError where one of its numbers is not finite."""
+    for M, rows in (
+        (model.A, model.states),
+        (model.B, model.states),
+        (model.C, model.outputs),
+        (model.D, model.outputs),
+    ):
+        for i, _ in np.argwhere(~np.isfinite(M)):
+            raise UserError(f"the derivatives of {rows[i].name} are beyond the range of numbers")
+    return model
+
+
+def reduced(model: LinearModel, kept: Sequence[int]) -> LinearModel:
+    """Return the model of the states `kept`; raise UserError where one of the others acts on them or on an output."""
+    keep = list(kept)
+    for dropped in sorted(set(range(len(model.A))) - set(keep)):
+        for M, names in ((model.A[keep], [model.states[i] for i in keep]), (model.C, model.outputs)):
+            acted = np.flatnonzero(M[:, dropped])
+            if len(acted):
+                raise UserError(
+                    f"the state {model.states[dropped].name} acts on {names[acted[0]].name} and cannot be left out"
+                )
+    return replace(
+        model,
+        A=model.A[np.ix_(keep, keep)],
+        B=model.B[keep],
+        C=model.C[:, keep],
+        states=tuple(model.states[i] for i in keep),
+        x_eq=model.x_eq[keep],
+        residual=model.residual[keep],
+    )

@@ -1,0 +1,201 @@
+"""A plant's FMU as a function of z = (x, u), its states and inputs; for model exchange the FMU itself is that function."""
+
+from __future__ import annotations
+
+import math
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fmpy.model_description import ScalarVariable
+
+from .derivative_checks import NOTABLE_ERROR, check_contradiction, check_smooth, relative
+from .derivatives import EvaluationError, Jacobian, jacobian
+from .errors import UserError
+from .fmu import FmuError, Value
+from .linear_model import LinearModel, reduced
+from .model_exchange import ModelInstance
+from .plant_variables import bound_of, index_of, nominal_of, quantities, real_inputs, real_outputs
+
+Array = np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class Taking:
+    """The variables of a plant that take part."""
+
+    states: tuple[ScalarVariable, ...]
+    inputs: tuple[ScalarVariable, ...]
+    outputs: tuple[ScalarVariable, ...]
+
+
+class Plant(ABC):
+    """An FMU as a function of z = (x, u)."""
+
+    def __init__(self, path: Path, names: Taking, start: dict[str, Value]) -> None:
+        self.path, self.start = path, start
+        self.states, self.inputs, self.outputs = names.states, names.inputs, names.outputs
+        self.n, self.m = len(self.states), len(self.inputs)
+        self.names = [v.name for v in (*self.states, *self.inputs)]
+
+    def sizes(self, z: Array) -> Array:
+        """Return the magnitudes of states and inputs: nominal attributes, 1 without, or the values where larger."""
+        return np.maximum([nominal_of(v) for v in (*self.states, *self.inputs)], np.abs(z))
+
+    @abstractmethod
+    def begin(self) -> Array:
+        """Return z of the start values; raises FmuError where the FMU fails."""
+
+    @abstractmethod
+    def rates(self, z: Array) -> Array:
+        """Return x' for the search for an equilibrium; raises EvaluationError."""
+
+    @abstractmethod
+    def rates_jacobian(self, z: Array) -> Array:
+        """Return the derivatives of `rates`, shape (n, n + m)."""
+
+    @abstractmethod
+    def linear(self, z: Array, notes: list[str]) -> LinearModel:
+        """Return the linear model about z."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what the FMU holds."""
+
+    def model(self, z: Array, matrices: tuple[Array, ...], y: Array, notes: list[str], **about: Any) -> LinearModel:
+        """Return the model with names, units and limits; outputs that are states have exactly their rows and values."""
+        A, B, C, D = matrices
+        names = self.names[: self.n]
+        for i, output in enumerate(self.outputs):
+            if output.name in names:
+                j = names.index(output.name)
+                C[i], D[i], y[i] = np.eye(self.n)[j], 0.0, z[j]
+        return LinearModel(
+            name=identifier(self.path.stem),
+            **{"A": A, "B": B, "C": C, "D": D, "x_eq": z[: self.n], "u_eq": z[self.n :], "y_eq": y},
+            states=quantities(self.states),
+            inputs=quantities(self.inputs),
+            outputs=quantities(self.outputs),
+            residual=self.rates(z),
+            notes=(*notes, *_blind(self.outputs, C)),
+            lower=np.array([bound_of(v, "min", -math.inf) for v in self.inputs]),
+            upper=np.array([bound_of(v, "max", math.inf) for v in self.inputs]),
+            **about,
+        )
+
+
+class ModelExchangePlant(Plant):
+    """x' and y by the FMU itself."""
+
+    def __init__(
+        self, path: Path, inputs: tuple[str, ...], outputs: tuple[str, ...], kept: tuple[str, ...], start: Any
+    ):
+        self._instance = ModelInstance("plant", path)
+        start = self._instance.checked_start(start)
+        states = self._instance.continuous_states()
+        if not states:
+            raise UserError(f"{path} has no continuous states")
+        self.kept = [index_of(name, [v.name for v in states], "state") for name in kept] or list(range(len(states)))
+        names = Taking(
+            tuple(states),
+            real_inputs(self._instance, inputs),
+            real_outputs(self._instance, outputs, [states[i] for i in self.kept]),
+        )
+        super().__init__(path, names, start)
+        self._open = False
+        description = self._instance.description
+        self._directional = bool(getattr(description.modelExchange, "providesDirectionalDerivative", False))
+        self._derivatives = [u.variable.valueReference for u in description.derivatives]  # type: ignore[union-attr]
+
+    def begin(self) -> Array:
+        """Return z of the start values; raises FmuError where the FMU fails."""
+        self._ready()
+        return np.concatenate((self._instance.states(self.n), self._instance.reals(self.inputs)))
+
+    def rates(self, z: Array) -> Array:
+        """Return x'; raises EvaluationError."""
+        return self._values(z)[: self.n]
+
+    def rates_jacobian(self, z: Array) -> Array:
+        """Return the derivatives of `rates`, shape (n, n + m)."""
+        if self._directional:
+            return self._directional_jacobian(z)[: self.n]
+        return jacobian(self.rates, z, self.sizes(z)).J
+
+    def linear(self, z: Array, notes: list[str]) -> LinearModel:
+        """Return the linear model about z; `notes` are added to its own."""
+        sizes = self.sizes(z)
+        rows = [*(f"{v.name}'" for v in self.states), *(v.name for v in self.outputs)]
+        found = jacobian(self._values, z, sizes)
+        J, error = found.J, found.error
+        if self._directional:
+            J = self._directional_jacobian(z)
+            check_contradiction(J, found, sizes, rows, self.names)
+            error = np.where(np.isfinite(found.error), np.abs(J - found.J), 0.0)
+            check_smooth(Jacobian(J, error, found.kink), sizes, rows, self.names)
+        else:
+            check_smooth(found, sizes, rows, self.names)
+            J = np.where(np.abs(J) <= error, 0.0, J)
+        worst = float(relative(error, J, sizes).max(initial=0.0))
+        method = "directional derivatives, checked by differences" if self._directional else "differences"
+        if worst > NOTABLE_ERROR:
+            notes.append(f"the derivatives are known to {worst:.1g} of the largest in a row only")
+        A, B = J[: self.n, : self.n], J[: self.n, self.n :]
+        y = self._values(z)[self.n :]
+        C, D = J[self.n :, : self.n], J[self.n :, self.n :]
+        whole = self.model(z, (A, B, C, D), y, notes, error=worst, method=f"model exchange, {method}")
+        return reduced(whole, self.kept)
+
+    def close(self) -> None:
+        """Free what the FMU holds."""
+        self._open = False
+        self._instance.close()
+
+    def _ready(self) -> None:
+        if not self._open:
+            self._instance.begin(self.start)
+            self._open = True
+
+    def _set(self, z: Array) -> None:
+        self._ready()
+        self._instance.set_inputs(self.inputs, z[self.n :])
+        self._instance.set_states(z[: self.n])
+
+    def _values(self, z: Array) -> Array:
+        """Return (x', y); an FMU that fails is begun anew at the next point."""
+        try:
+            self._set(z)
+            return np.concatenate((self._instance.derivatives(self.n), self._instance.reals(self.outputs)))
+        except FmuError as error:
+            self.close()
+            raise EvaluationError(str(error)) from None
+
+    def _directional_jacobian(self, z: Array) -> Array:
+        try:
+            self._set(z)
+            unknowns = [*self._derivatives, *(v.valueReference for v in self.outputs)]
+            J = self._instance.directional(unknowns, [v.valueReference for v in (*self.states, *self.inputs)])
+        except FmuError as error:
+            self.close()
+            raise EvaluationError(str(error)) from None
+        if not np.isfinite(J).all():
+            raise EvaluationError("a directional derivative is not finite")
+        return J
+
+
+def _blind(outputs: Sequence[ScalarVariable], C: Array) -> list[str]:
+    return [
+        f"the output {v.name} does not change with the states there, and measures nothing"
+        for v, row in zip(outputs, C, strict=True)
+        if not row.any()
+    ]
+
+
+def identifier(text: str) -> str:
+    """Return the text as a C identifier."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)[:80]
+    return name if name[:1].isalpha() else f"plant_{name}"

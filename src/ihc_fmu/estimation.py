@@ -1,0 +1,101 @@
+"""A Kalman filter's noises from what an engineer knows: sensors' resolutions or deviations, and one bandwidth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fmu_export.errors import UserError
+
+from .design import Design
+from .kalman import KalmanDesign, Noise, kalman_filter
+
+Array = np.ndarray
+
+FASTER = 3.0
+"""Of the disturbance's estimate than the fastest pole of the closed loop, where no bandwidth is given."""
+MOST_PER_SAMPLE = 0.3
+"""Largest bandwidth that is chosen, times the sample time [rad]."""
+NOISE_FREE = 1e-4
+"""Deviation of an output whose sensor nobody described, relative to its extent on the unit ball."""
+BIAS_RATE = 4.0
+"""Intensity of a bias's noise relative to the spectral density of its sensor's [1/s^2]."""
+LEAK = 1e-5
+"""Rate at which biases are forgotten, relative to the bandwidth."""
+
+
+def estimator(design: Design) -> KalmanDesign:
+    """Return the filter for the system of a design and its sample time; raises as `kalman_filter`.
+
+    Without an output that sees them all, disturbances cannot be estimated: a bandwidth of 0 leaves them out.
+    """
+    s = design.system
+    names = [q.name for q in s.states] + [f"the disturbance of {q.name}" for q in s.inputs]
+    names += [f"the bias of {q.name}" for q in s.outputs]
+    try:
+        return kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design), names)
+    except UserError as error:
+        hint = "; bandwidth = 0 in the system leaves the disturbances out" if s.bandwidth != 0.0 else ""
+        raise UserError(f"{s.name} has no Kalman filter: {error}{hint}") from None
+
+
+def noise(design: Design) -> Noise:
+    """Return the noises of the filter.
+
+    A sample's variance is deviation^2 + resolution^2/12, for a sensor without both NOISE_FREE of its extent. The intensity
+    of disturbance i makes its estimate as fast as the bandwidth omega, as if nothing else moved the system: an output that
+    answers to the input's k-th integral with the gain g tells it with q = r omega^(2 k + 2)/g^2, r the sensor's spectral density,
+    and outputs together with the harmonic sum. White noise on the inputs has the same size within the bandwidth.
+    """
+    s = design.system
+    variances = _variances(design)
+    omega = bandwidth(design)
+    density = variances * s.sample_time
+    powers = _intensities(design, density, max(omega, 1e-300) if s.bandwidth != 0.0 else _fastest(design))
+    return Noise(
+        inputs=(powers / _reference(design, omega) ** 2).tolist(),
+        disturbances=(powers if omega > 0.0 else 0.0 * powers).tolist(),
+        biases=[BIAS_RATE * r if q.name in s.biases else 0.0 for q, r in zip(s.outputs, density, strict=True)],
+        outputs=variances.tolist(),
+        leak=LEAK * _reference(design, omega),
+    )
+
+
+def bandwidth(design: Design) -> float:
+    """Return the bandwidth [rad/s] of the disturbances' estimate, 0 where they are not estimated."""
+    s = design.system
+    if s.bandwidth is not None:
+        return s.bandwidth
+    return min(FASTER * _fastest(design), MOST_PER_SAMPLE / s.sample_time)
+
+
+def _reference(design: Design, omega: float) -> float:
+    return omega if omega > 0.0 else _fastest(design)
+
+
+def _fastest(design: Design) -> float:
+    """Return the magnitude of the fastest pole of the closed loop [1/s]."""
+    return float(np.abs(np.linalg.eigvals(design.A + design.B @ design.K)).max())
+
+
+def _variances(design: Design) -> Array:
+    s = design.system
+    C = np.asarray(s.C)
+    extent = np.sqrt(np.einsum("ij,ji->i", C, np.linalg.solve(design.P, C.T)))
+    deviations = np.asarray(s.deviations)
+    known = deviations**2 + np.asarray(s.resolutions) ** 2 / 12.0
+    return np.where(known > 0.0, known, (NOISE_FREE * extent) ** 2)
+
+
+def _intensities(design: Design, density: Array, omega: float) -> Array:
+    s = design.system
+    C, reached = np.asarray(s.C), s.B / omega
+    told = np.zeros(s.m)  # sum over outputs of 1/q
+    seen = np.zeros((s.p, s.m), dtype=bool)
+    for _ in range(s.n):  # the first Markov parameter that is not 0, in time scaled by omega
+        gains = C @ reached
+        size = np.abs(C) @ np.abs(reached)
+        new = (np.abs(gains) > 1e-9 * np.maximum(size, 1e-300)) & ~seen
+        told += (np.where(new, gains, 0.0) ** 2 / density[:, None]).sum(axis=0)
+        seen |= new
+        reached = s.A @ reached / omega
+    return np.where(told > 0.0, omega**2 / np.maximum(told, 1e-300), 0.0)

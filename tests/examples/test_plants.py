@@ -1,0 +1,215 @@
+"""The example plants against Lagrange's equations, the conservation of energy, published numbers and their files."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import fmpy
+import numpy as np
+import pytest
+import sympy as sp
+from fmpy.validation import validate_fmu
+
+from cosim.fmu import start_values_of
+from cosim.linearize import linear_model
+from cosim.scenario import load_scenario
+from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.system import System
+
+from .conftest import EXAMPLES
+
+g, t = sp.symbols("gravity t")
+
+
+def energies(name) -> Any:
+    """Return coordinates, their rates, kinetic and potential energy, friction's powers by rate, forces by coordinate."""
+    return {
+        "crane": _crane,
+        "arm": _arm,
+        "double_pendulum": _double_pendulum,
+        "rotorcraft": _rotorcraft,
+        "servo": _servo,
+    }[name]()
+
+
+def _coordinates(*names) -> Any:
+    q = sp.Matrix([sp.Function(name)(t) for name in names])
+    return q, q.diff(t)
+
+
+def _moving(mass, x, y):
+    return mass * (sp.diff(x, t) ** 2 + sp.diff(y, t) ** 2) / 2
+
+
+def _crane():
+    M, m, l, I, b, d = sp.symbols("trolley_mass load_mass length load_inertia rail_friction joint_friction")
+    q, v = _coordinates("s", "phi")
+    x, y = q[0] + l * sp.sin(q[1]), -l * sp.cos(q[1])
+    T = M * v[0] ** 2 / 2 + _moving(m, x, y) + I * v[1] ** 2 / 2
+    F = sp.Symbol("force")
+    return q, v, T, m * g * y, [F - b * v[0], -d * v[1]], [F]
+
+
+def _arm():
+    m1, m2, l1, c1, c2, I1, I2, b1, b2 = sp.symbols(
+        "mass_1 mass_2 length_1 centre_1 centre_2 inertia_1 inertia_2 friction_1 friction_2"
+    )
+    q, v = _coordinates("p", "q")
+    a = q[0] + q[1]
+    x1, y1 = c1 * sp.sin(q[0]), c1 * sp.cos(q[0])
+    x2, y2 = l1 * sp.sin(q[0]) + c2 * sp.sin(a), l1 * sp.cos(q[0]) + c2 * sp.cos(a)
+    T = _moving(m1, x1, y1) + _moving(m2, x2, y2) + I1 * v[0] ** 2 / 2 + I2 * (v[0] + v[1]) ** 2 / 2
+    u = sp.symbols("tau_1 tau_2")
+    return q, v, T, g * (m1 * y1 + m2 * y2), [u[0] - b1 * v[0], u[1] - b2 * v[1]], list(u)
+
+
+def _double_pendulum():
+    m0, m1, m2, L1, L2, b = sp.symbols("cart_mass mass_1 mass_2 length_1 length_2 rail_friction")
+    q, v = _coordinates("s", "a", "b")
+    x1, y1 = q[0] + L1 / 2 * sp.sin(q[1]), L1 / 2 * sp.cos(q[1])
+    x2 = q[0] + L1 * sp.sin(q[1]) + L2 / 2 * sp.sin(q[2])
+    y2 = L1 * sp.cos(q[1]) + L2 / 2 * sp.cos(q[2])
+    turning = (m1 * L1**2 * v[1] ** 2 + m2 * L2**2 * v[2] ** 2) / 24
+    T = m0 * v[0] ** 2 / 2 + _moving(m1, x1, y1) + _moving(m2, x2, y2) + turning
+    F = sp.Symbol("force")
+    return q, v, T, g * (m1 * y1 + m2 * y2), [F - b * v[0], 0, 0], [F]
+
+
+def _rotorcraft():
+    m, arm, I = sp.symbols("mass arm inertia")
+    q, v = _coordinates("x", "z", "pitch")
+    u = sp.symbols("F_1 F_2")
+    lift = u[0] + u[1]
+    T = _moving(m, q[0], q[1]) + I * v[2] ** 2 / 2
+    forces = [-lift * sp.sin(q[2]), lift * sp.cos(q[2]), arm * (u[0] - u[1])]
+    return q, v, T, m * g * q[1], forces, list(u)
+
+
+def _servo():
+    k, kM, JM, JL, rho, bM, bL, R = sp.symbols(
+        "stiffness motor_constant motor_inertia load_inertia ratio motor_friction load_friction resistance"
+    )
+    q, v = _coordinates("load", "motor")
+    V = sp.Symbol("V")
+    T = JL * v[0] ** 2 / 2 + JM * v[1] ** 2 / 2
+    potential = k * (q[1] / rho - q[0]) ** 2 / 2
+    return q, v, T, potential, [-bL * v[0], kM * (V - kM * v[1]) / R - bM * v[1]], [V]
+
+
+def equations(name, plant) -> Any:
+    """Return x, u and x' of Lagrange's equations with the plant's numbers, in symbols."""
+    q, v, T, V, forces, u = energies(name)
+    lagrangian = T - V
+    equation = (lagrangian.diff(v).diff(t) - lagrangian.diff(q)).reshape(len(q), 1) - sp.Matrix(forces)
+    acceleration = v.diff(t)
+    M = equation.jacobian(acceleration)
+    rest = equation.subs(dict.fromkeys(acceleration, 0))
+    x = sp.symbols(f"x:{2 * len(q)}")
+    named = {**dict(zip(v, x[len(q) :], strict=True)), **dict(zip(q, x[: len(q)], strict=True))}
+    numbers = {sp.Symbol(p): getattr(plant, p) for p in plant.parameters}
+    M, rest = (part.subs(named).subs(numbers) for part in (M, rest))
+    total = (T + V).subs(named).subs(numbers)
+    return x, u, sp.Matrix([*x[len(q) :], *M.LUsolve(-rest)]), total
+
+
+def test_the_equations_are_those_of_lagrange(name, plant_of):
+    plant = plant_of(name)
+    x, u, rates, _ = equations(name, plant)
+    f = sp.lambdify((x, u), list(rates))
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        at, held = rng.uniform(-2, 2, len(x)).tolist(), rng.uniform(-5, 5, len(u)).tolist()
+        np.testing.assert_allclose(plant.rates(at, held), f(at, held), rtol=1e-11, atol=1e-11)
+
+
+FRICTIONS = {"rail_friction", "joint_friction", "friction_1", "friction_2", "motor_friction", "load_friction"}
+
+
+def test_energy_is_conserved_without_friction_and_inputs(name, plant_of):
+    plant = plant_of(name)
+    for friction in FRICTIONS & plant.parameters.keys():
+        setattr(plant, friction, 0.0)
+    if name == "servo":
+        plant.motor_constant = 0.0
+    symbols, _, _, total = equations(name, plant)
+    energy = sp.lambdify((symbols,), total)
+    x = np.linspace(0.3, 1.0, len(plant.states)).tolist()
+    first, drift = energy(x), []
+    for _ in range(1000):
+        x = plant._stepped(x, [0.0] * len(plant.inputs), 1e-3)
+        drift.append(abs(energy(x) - first))
+    moved = abs(first) + abs(energy(np.zeros(len(x))))
+    assert max(drift) < 1e-8 * moved
+
+
+def test_the_fmu_linearizes_to_the_jacobian_of_the_equations(name, plant_of, fmu_of):
+    system: Any = System.load(EXAMPLES / name / f"{name}.toml")
+    plant = plant_of(name)
+    x, u, rates, _ = equations(name, plant)
+    at = dict(zip((*x, *u), (*system.x_eq, *system.u_eq), strict=True))
+    A = np.array(rates.jacobian(x).subs(at), dtype=float)
+    B = np.array(rates.jacobian(u).subs(at), dtype=float)
+    start = {"encoder_counts": 0.0} if name == "servo" else {}
+    outputs = [] if system.measures_state else [q.name for q in system.outputs]
+    model = linear_model(fmu_of(name), [q.name for q in system.inputs], outputs, start=start)
+    for found in (model, system):  # the file that is shipped is what comes out
+        np.testing.assert_allclose(found.A, A, rtol=1e-8, atol=1e-8 * np.abs(A).max())
+        np.testing.assert_allclose(found.B, B, rtol=1e-8, atol=1e-8 * np.abs(B).max())
+    np.testing.assert_array_equal(model.C, system.C)
+    assert (model.states, model.inputs, model.outputs) == (system.states, system.inputs, system.outputs)
+    assert model.error < 1e-8
+
+
+TILTED = {
+    "crane": [0.5, 0.3, 0.0, 0.0],
+    "arm": [0.2, -0.2, 0.0, 0.0],
+    "double_pendulum": [0.0, 0.1, -0.1, 0.0, 0.0, 0.0],
+    "rotorcraft": [1.0, 1.0, 0.2, 0.0, 0.0, 0.0],
+    "servo": [1.0, 20.0, 0.0, 0.0],
+}
+
+
+def test_the_linear_controller_of_the_system_file_brings_the_plant_to_rest_within_its_limits(name, plant_of):
+    system: Any = System.load(EXAMPLES / name / f"{name}.toml")
+    plant = plant_of(name)
+    x = system.x_eq + TILTED[name]
+    for _ in range(8000):
+        u = np.clip(system.u_eq + system.K @ (x - system.x_eq), system.lower, system.upper)
+        x = np.array(plant._stepped(x.tolist(), u.tolist(), system.sample_time))
+    assert np.abs(x - system.x_eq).max() < 2e-3
+
+
+def test_the_servos_poles_are_the_published_ones():
+    poles = np.sort_complex(np.linalg.eigvals(System.load(EXAMPLES / "servo" / "servo.toml").A))
+    np.testing.assert_allclose(poles, [-9.79, -0.705 - 7.31j, -0.705 + 7.31j, 0.0], atol=6e-3)
+
+
+def test_the_fmu_is_valid_has_units_and_steps_as_the_class_does(name, plant_of, fmu_of):
+    path, plant = fmu_of(name), plant_of(name)
+    assert validate_fmu(str(path)) == []
+    description = fmpy.read_model_description(str(path))
+    units = {v.name: v.unit for v in description.modelVariables}
+    for quantity, (_, unit, _) in (plant.states | plant.inputs | plant.parameters).items():
+        assert units[quantity] == unit
+    start = {f"{state}_0": value for state, value in zip(plant.states, TILTED[name], strict=True)}
+    result = fmpy.simulate_fmu(str(path), stop_time=0.02, output_interval=0.01, step_size=0.01, start_values=start)
+    x, held = TILTED[name], [quantity[0] for quantity in plant.inputs.values()]
+    for row in result:
+        assert [row[state] for state in plant.states] == pytest.approx(x, abs=1e-13)
+        for _ in range(10):
+            x = plant._stepped(x, held, 1e-3)
+
+
+def test_the_scenario_is_of_this_plant_and_begins_beside_the_equilibrium(name, fmu_of):
+    scenario, _ = load_scenario(str(EXAMPLES / name / f"{name}_run.toml"))
+    assert (scenario.plant.fmu, scenario.controller.fmu) == (f"{name}.fmu", f"{name}_controller.fmu")
+    system: Any = System.load(EXAMPLES / name / f"{name}.toml")
+    initial = {f"{q.name}_0" for q in system.states}
+    assert scenario.plant.start.keys() <= initial <= start_values_of(fmu_of(name)).keys()
+    assert scenario.run.step == system.sample_time
+
+
+def test_the_system_file_has_a_certified_homogeneous_controller(name):
+    design = inverse_design(System.load(EXAMPLES / name / f"{name}.toml"), Options(mu=1.0, alpha=0.05))
+    assert (design.mu, design.alpha) == (1.0, 0.05)
+    assert min(design.certificate.decrease, design.certificate.monotone, design.certificate.positive) > 0.0
