@@ -72,7 +72,9 @@ class _Part(BaseModel, frozen=True, extra="ignore"):
 
 
 class ErrorSignal(_Part, frozen=True):
-    """e = factor signal + offset - set-point, in `unit`; the set-point is a signal of the result, or a constant.
+    """e = factor signal + offset - set-point, in `unit`.
+
+    The set-point is point_factor times a signal of the result plus point_offset, or a constant.
 
     `wraps`: an angle [rad] of which whole turns do not count, e in (-pi, pi]. `label` names it in pictures.
     """
@@ -83,6 +85,8 @@ class ErrorSignal(_Part, frozen=True):
     factor: Finite = 1.0
     offset: Finite = 0.0
     set_point: StrictStr | None = None
+    point_factor: Finite = 1.0
+    point_offset: Finite = 0.0
     constant: Finite = 0.0
     wraps: StrictBool = False
 
@@ -213,43 +217,22 @@ def evaluation_of(
     """Return what a system's runs are judged by; without errors where the controller gets no signal and none is named.
 
     `variables` and `start` (all start values) are by component; `angles` are signals of which whole turns do not count, and
-    that stand for what is measured of them, as plant.theta for plant.theta_encoder.
-    Raises UserError for signals that do not exist.
+    that stand for what is measured of them, as plant.theta for plant.theta_encoder. Raises UserError for signals that do
+    not exist.
     """
-    measured = {
-        w.source: w for w in wires if w.target.startswith(f"{CONTROLLER}.") and not w.target.endswith(SET_POINT)
-    }
-    acting = [w.source for w in wires if w.source.startswith(f"{CONTROLLER}.") and not w.target.startswith(CONTROLLER)]
-    true = {f"{angle}_encoder": angle for angle in angles}
-    chosen = section.errors or list(dict.fromkeys(true.get(source, source) for source in measured))
-    back = {true.get(source, source): wire for source, wire in measured.items()}
-
-    def wire_of(name: str) -> Wire | None:
-        return back.get(name, back.get(name.removesuffix(TRUE)))
-
-    driven = {s.target for s in signals if s.recorded}
-    find = _Found(variables, start, wires, driven)
-    acting = list(dict.fromkeys(acting)) if section.controls is None else list(section.controls)
-    labels = _labels([*chosen, *acting])
-    mode = variables.get(CONTROLLER, {}).get("mode")
-    items = getattr(getattr(mode, "declaredType", None), "items", None) or ()
-    has_mode = mode is not None and mode.causality == "output" and items
-    norm = variables.get(CONTROLLER, {}).get("homogeneous_norm")
+    find = _Found(variables, start, wires, {s.target for s in signals if s.recorded}, angles)
+    errors = find.measured if section.errors is None else section.errors
+    controls = find.acting if section.controls is None else section.controls
+    labels = _labels([*errors, *controls])
     return checked(
         Evaluation,
         {
-            "errors": [
-                {**find.error(name, wire_of(name), wraps=name in angles), "label": labels[name]} for name in chosen
-            ],
-            "controls": [
-                {"signal": name, "unit": find.unit(name, "controls"), "label": labels[name]} for name in acting
-            ],
+            "errors": [{**find.error(name), "label": labels[name]} for name in errors],
+            "controls": [{"signal": c, "unit": find.unit(c, "controls"), "label": labels[c]} for c in controls],
             "scales": section.scales,
             "tolerance": section.tolerance or TOLERANCE,
-            "mode": {"signal": f"{CONTROLLER}.mode", "items": [(int(i.value), i.name) for i in items]}
-            if has_mode
-            else None,
-            "norm": f"{CONTROLLER}.homogeneous_norm" if norm is not None and norm.causality == "output" else None,
+            "mode": find.mode(),
+            "norm": find.norm(),
         },
         "evaluate",
     )
@@ -263,7 +246,7 @@ def _labels(names: Sequence[str]) -> dict[str, str]:
 
 
 class _Found:
-    """Signals of a system by name."""
+    """A system's signals: those that the controller is given and gives, those that are named."""
 
     def __init__(
         self,
@@ -271,9 +254,24 @@ class _Found:
         start: Mapping[str, Mapping[str, Any]],
         wires: Sequence[Wire],
         driven: set[str],
+        angles: Sequence[str],
     ) -> None:
-        self.variables, self.start, self.driven = variables, start, driven
+        self.variables, self.start, self.wires, self.driven, self.angles = variables, start, wires, driven, angles
         self.sources = {w.target: w for w in wires}
+        true = {f"{angle}_encoder": angle for angle in angles}
+        to_controller = [w for w in wires if _component(w.target) == CONTROLLER and not w.target.endswith(SET_POINT)]
+        self.given = {true.get(w.source, w.source): w for w in to_controller if self._is_real(w.source)}
+
+    @property
+    def measured(self) -> list[str]:
+        """The real numbers that the controller is given, but for set-points."""
+        return list(self.given)
+
+    @property
+    def acting(self) -> list[str]:
+        """The real numbers that the controller gives to others."""
+        given = [w.source for w in self.wires if _component(w.source) == CONTROLLER != _component(w.target)]
+        return [name for name in dict.fromkeys(given) if self._is_real(name)]
 
     def unit(self, name: str, entry: str) -> str:
         """Return the unit of a signal that can be recorded; raise UserError for another name, found in `entry`."""
@@ -288,21 +286,47 @@ class _Found:
             raise UserError(f"evaluate.{entry} takes numbers; {name} is a String")
         return found.unit or NO_UNIT
 
-    def error(self, name: str, wire: Wire | None, *, wraps: bool) -> dict[str, Any]:
-        """Return an error's description: as the controller is given it by `wire`, less its set-point."""
-        about: dict[str, Any] = {"signal": name, "unit": self.unit(name, "errors"), "wraps": wraps}
+    def error(self, name: str) -> dict[str, Any]:
+        """Return an error's description: as the controller is given it, less its set-point."""
+        about: dict[str, Any] = {"signal": name, "unit": self.unit(name, "errors"), "wraps": name in self.angles}
+        wire = self.given.get(name, self.given.get(name.removesuffix(TRUE)))
         if wire is None:
             return about
         variable = wire.target.partition(".")[2]
         if wire.converts:
             seen = self.variables[CONTROLLER][variable].unit or NO_UNIT
             about |= {"factor": wire.factor, "offset": wire.offset, "unit": seen}
+        return about | self._set_point(variable)
+
+    def _set_point(self, variable: str) -> dict[str, Any]:
+        """Return where the set-point of what the controller is given as `variable` comes from."""
         point = f"{variable}{SET_POINT}"
         feed = self.sources.get(f"{CONTROLLER}.{point}")
-        if feed is not None and not feed.converts:
-            return {**about, "set_point": feed.source}
+        if feed is not None:
+            return {"set_point": feed.source, "point_factor": feed.factor, "point_offset": feed.offset}
         if f"{CONTROLLER}.{point}" in self.driven:
-            return {**about, "set_point": f"{CONTROLLER}.{point}"}
+            return {"set_point": f"{CONTROLLER}.{point}"}
         own = self.start.get(CONTROLLER, {})
-        constant = own.get(point, own.get(f"{variable}_equilibrium", 0.0))
-        return {**about, "constant": float(constant)}
+        return {"constant": float(own.get(point, own.get(f"{variable}_equilibrium", 0.0)))}
+
+    def mode(self) -> dict[str, Any] | None:
+        """Return the controller's output `mode` with the names of its values; None where it has none."""
+        mode = self.variables.get(CONTROLLER, {}).get("mode")
+        items = getattr(getattr(mode, "declaredType", None), "items", None) or ()
+        if mode is None or mode.causality != "output" or not items:
+            return None
+        return {"signal": f"{CONTROLLER}.mode", "items": [(int(item.value), item.name) for item in items]}
+
+    def norm(self) -> str | None:
+        """Return the controller's homogeneous norm; None where it has none."""
+        norm = self.variables.get(CONTROLLER, {}).get("homogeneous_norm")
+        return f"{CONTROLLER}.homogeneous_norm" if norm is not None and norm.causality == "output" else None
+
+    def _is_real(self, name: str) -> bool:
+        component, _, variable = name.partition(".")
+        found = self.variables.get(component, {}).get(variable)
+        return found is None or found.type == "Real"
+
+
+def _component(name: str) -> str:
+    return name.partition(".")[0]

@@ -323,13 +323,27 @@ def can_draw(result: Result) -> bool:
 
 def error(result: Result, about: ErrorSignal) -> Array:
     """Return an error at each row: what the controller is given of a signal, less its set-point."""
-    e = np.asarray(result[about.signal], dtype=float)
-    if about.factor != 1.0 or about.offset != 0.0:
-        e = about.factor * e + about.offset
-    point = about.constant if about.set_point is None else np.asarray(result[about.set_point], dtype=float)
-    if about.set_point is not None or about.constant != 0.0:
+    e, point = given(result, about), set_point(result, about)
+    if point is not None:
         e = e - point
     return wrapped(e) if about.wraps else e
+
+
+def given(result: Result, about: ErrorSignal) -> Array:
+    """Return a judged signal at each row, as the controller is given it."""
+    return _converted(result[about.signal], about.factor, about.offset)
+
+
+def set_point(result: Result, about: ErrorSignal) -> Array | None:
+    """Return an error's set-point at each row; None where it has none."""
+    if about.set_point is not None:
+        return _converted(result[about.set_point], about.point_factor, about.point_offset)
+    return np.full(len(result.time), about.constant) if about.constant else None
+
+
+def _converted(signal: Array, factor: float, offset: float) -> Array:
+    plain = np.asarray(signal, dtype=float)
+    return plain if factor == 1.0 and offset == 0.0 else factor * plain + offset
 
 
 def error_norm(result: Result, about: Evaluation, group: Sequence[int]) -> Array:

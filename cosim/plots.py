@@ -18,7 +18,7 @@ from filing.origin import SOFTWARE
 from ihc_fmu.pendulum.interface import LAWS
 
 from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
-from .metrics import error_norm, wrapped
+from .metrics import error_norm, given, set_point, wrapped
 from .results import Result
 
 COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837", "SMC1": "#e08214", "SMC2": "#a6611a"}
@@ -209,12 +209,9 @@ def angle(result: Result, name: str) -> np.ndarray:
 
 def _drawn(result: Result, error: ErrorSignal) -> np.ndarray:
     """Return a judged signal to draw, as the controller is given it; an angle wrapped, with gaps at its jumps."""
-    signal = result[error.signal]
-    if error.factor != 1.0 or error.offset != 0.0:
-        signal = error.factor * signal + error.offset
     if not error.wraps:
-        return signal
-    drawn = wrapped(signal)
+        return given(result, error)
+    drawn = wrapped(given(result, error))
     drawn[1:][np.abs(np.diff(drawn)) > np.pi] = np.nan  # no line across the jump from pi to -pi
     return drawn
 
@@ -225,11 +222,9 @@ def _draw_error(
     """Draw a judged signal from a share of the run on, and its set-point where it has one."""
     shown = result.time >= begin * result.time[-1]
     axis.plot(result.time[shown], _drawn(result, error)[shown], color=colour, lw=1.0, label=name)
-    point = error.set_point
+    point = set_point(result, error)
     if point is not None:
-        axis.plot(result.time[shown], result[point][shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
-    elif error.constant:
-        axis.axhline(error.constant, color="0.3", lw=0.8, ls="--")
+        axis.plot(result.time[shown], point[shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
 
 
 def _errors(results: Mapping[str, Result], about: Evaluation) -> Figure:

@@ -117,8 +117,7 @@ def hil(
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
     if chosen.plant.measurement == "ideal":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    if chosen.components or chosen.wires is not None or chosen.signals:
-        raise UserError(f"a device is a plant alone; the scenario {chosen.name} has components, wires or signals")
+    _check_device(chosen)
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
     say_notes(remarks(system))
@@ -280,6 +279,14 @@ def _elsewhere(result: Result) -> str:
     return f" (a bare loop on another machine: {default:.0f}, with real-time scheduling {real_time:.0f})"
 
 
+def _check_device(scenario: Scenario) -> None:
+    """Raise UserError for a scenario that is more, or less, than a controller and a plant in the device's place."""
+    if list(scenario.parts) != ["controller", "plant"] or scenario.wires is not None or scenario.signals:
+        raise UserError(
+            f"a device is one plant with one controller; the scenario {scenario.name} has other components, wires or signals"
+        )
+
+
 def device(
     listen: Annotated[str, typer.Option(help="Address to listen at, HOST:PORT.")] = "127.0.0.1:18950",
     scenario: Annotated[str, typer.Option(help=f"The plant. {SCENARIO_HELP}")] = "device",
@@ -307,7 +314,9 @@ def device(
     from .udp import Server, address_of, beyond_loopback
 
     chosen, folder = load_scenario(scenario)
-    _, plant = build_system(chosen.changed(dict(assignments(change))), fmus, folder).components
+    chosen = chosen.changed(dict(assignments(change)))
+    _check_device(chosen)
+    _, plant = build_system(chosen, fmus, folder).components
     board = Board(plant, parse(faults))
     if record is not None:
         check_replaceable(record)

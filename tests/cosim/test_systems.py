@@ -55,6 +55,7 @@ def units(tmp_path_factory):
     )
     linear_fmu(folder / "unlike.fmu", [("x.in[1]", "m"), ("enable", None)], [("u out", "N")], D=[[-3.0, 0.0]])
     linear_fmu(folder / "valve.fmu", [("u", "N")], [("f", "N")], [[-50.0]], [[50.0]], [[1.0]], x0=(0.0,))
+    linear_fmu(folder / "reference.fmu", [("r", "mm")], [("y", "mm")], D=[[1.0]], start={"r": 200.0})
     masses = np.array([[0, 0, 1, 0], [0, 0, 0, 1], [-8, 8, -1, 0], [4, -4, 0, -1]], float)
     names = [("body.frame_a.r[1]", "m"), ("arm, tilt", "rad"), ('v "1"', "m/s"), ("v 2", None)]
     act = [("drive[1].f", "N"), ("drive[2].tau", "N.m")]
@@ -172,6 +173,28 @@ def test_units_that_differ_are_refused_until_the_user_says_how_they_convert(unit
         assert found.values[name] == pytest.approx(value, rel=1e-6, nan_ok=True), name
     about = evaluation_in(loops[0]).errors[0]
     assert (about.unit, about.factor) == ("m", 0.001)
+
+
+def test_a_set_point_may_come_from_a_component_in_another_unit(units, scenario):
+    wires = """wires = ["plant.position -> controller.position", "plant.speed -> controller.speed",
+        "controller.force -> plant.force", "reference.y -> controller.position_setpoint * 0.001"]
+    """
+    more = '[components.reference]\nfmu = "reference.fmu"\n[evaluate]\nerrors = ["plant.position"]'
+    chosen, folder = scenario(wires + CART_SCENARIO + more)
+    result = run_scenario(chosen, units, folder)
+    assert result["reference.y"][-1] == 200.0
+    e = result["plant.position"] - 0.001 * result["reference.y"]
+    assert evaluate(result).integral_e2 == np.trapezoid(e**2, result.time)
+    assert evaluate(result).steady_rms < 0.02
+
+
+def test_only_real_numbers_convert(tiny_fmu, scenario):
+    wires = 'wires = ["plant.whole_out -> plant.whole * 2.0"]'
+    chosen, folder = scenario(f'{wires}\nplant.fmu = "Tiny.fmu"\ncontroller.fmu = "none"\nrun.duration = 0.01')
+    with pytest.raises(
+        UserError, match=r"may convert real numbers by finite ones, found Integer, factor 2 and offset 0"
+    ):
+        run_scenario(chosen, tiny_fmu.parent, folder)
 
 
 def test_a_wire_may_have_an_offset(units, scenario):
