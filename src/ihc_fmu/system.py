@@ -96,8 +96,8 @@ class System:
         n = len(self.A)
         if n == 0 or self.A.shape != (n, n):
             raise UserError(f"A must be a square matrix, found shape {self.A.shape}")
-        B = np.asarray(self.B, dtype=float) if not isinstance(self.B, list) else _matrix("B", self.B, flat=True)
-        self._set("B", _matrix("B", B[:, None] if B.ndim == 1 else B))
+        B = _matrix("B", self.B, flat=True)
+        self._set("B", B[:, None] if B.ndim == 1 else B)
         if self.B.shape[0] != n or self.B.shape[1] == 0:
             raise UserError(f"B must have {n} rows to fit A, found shape {self.B.shape}")
         m = self.B.shape[1]
@@ -107,8 +107,8 @@ class System:
         if self.C.shape[1] != n or not len(self.C):
             raise UserError(f"C must have {n} columns to fit A, found shape {self.C.shape}")
         if self.K is not None:
-            K = np.asarray(self.K, dtype=float)
-            self._set("K", _matrix("K", K[None, :] if K.ndim == 1 else K))
+            K = _matrix("K", self.K, flat=True)
+            self._set("K", K[None, :] if K.ndim == 1 else K)
             if self.K.shape != (m, n):
                 raise UserError(f"K must have {m} rows of {n} numbers to fit B and A, found shape {self.K.shape}")
         self._take_names(n, m, len(self.C))
@@ -155,6 +155,8 @@ class System:
             ("upper", m, np.inf),
         ):
             value = getattr(self, name)
+            if name == "y_eq" and self.measures_state:
+                value = self._measured_equilibrium(value)
             value = np.full(count, default) if value is None else np.array(value, dtype=float)
             if value.shape != (count,):
                 name = "limits" if name in ("lower", "upper") else name  # noqa: PLW2901 - as in files
@@ -176,6 +178,12 @@ class System:
             raise UserError(f"sample_time must be positive and finite [s], found {self.sample_time}")
         if self.bandwidth is not None and not 0.0 < self.bandwidth < LARGEST:
             raise UserError(f"bandwidth must be positive and finite [rad/s], found {self.bandwidth}")
+
+    def _measured_equilibrium(self, y_eq: object) -> object:
+        """Return y_eq of measured states, which is x_eq."""
+        if y_eq is not None and not np.array_equal(np.asarray(y_eq, dtype=float), np.asarray(self.x_eq)):
+            raise UserError("without C the outputs are the states, and so are those of the equilibrium")
+        return self.x_eq
 
     @property
     def n(self) -> int:
@@ -208,7 +216,7 @@ class System:
 
     def changed(self, **changes: Any) -> System:
         """Return the system with fields replaced; C stays absent where it was, and a new C has new outputs."""
-        kept: dict[str, Any] = {"C": None, "outputs": ()} if self.measures_state else {}
+        kept: dict[str, Any] = {"C": None, "outputs": (), "y_eq": None} if self.measures_state else {}
         if "C" in changes:
             kept = {"y_eq": None, "resolutions": None, "deviations": None, **dict.fromkeys(_OF_OUTPUTS, ())}
         return replace(self, **{**kept, **changes})
@@ -291,7 +299,8 @@ class System:
                 found[name] = getattr(self, name).tolist()
         found["sample_time"] = self.sample_time
         if self.x_eq.any() or self.u_eq.any() or self.y_eq.any():  # type: ignore[union-attr]
-            names = (("states", self.x_eq), ("inputs", self.u_eq), ("outputs", self.y_eq))
+            names = [("states", self.x_eq), ("inputs", self.u_eq)]
+            names += [] if self.measures_state else [("outputs", self.y_eq)]
             found["equilibrium"] = {name: value.tolist() for name, value in names}  # type: ignore[union-attr]
         for name in ("set_points", "biases"):
             if getattr(self, name):

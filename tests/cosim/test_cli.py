@@ -74,9 +74,9 @@ def test_a_process_of_its_own_is_the_same_program(tmp_path):
 
 def test_design_export_run_compare(tmp_path):
     said = accepted("design", "--mu", "0.5", "--alpha", "0.3", "--u-max", "3", "-o", "my design.json", cwd=tmp_path)
-    assert re.search(r"largest feasible alpha for this k_lin and mu: 0\.43\d* 1/s", said)
+    assert re.search(r"largest feasible alpha for this gain and mu: 0\.43\d* 1/s", said)
     design = Design.load(tmp_path / "my design.json")
-    assert (design.mu, design.alpha, design.u_max) == (0.5, 0.3, pytest.approx(3.0, rel=1e-4))
+    assert (design.mu, design.alpha, design.u_max[0]) == (0.5, 0.3, pytest.approx(3.0, rel=1e-4))
 
     options = ("--design", "my design.json", "--smc", "linear-poles", "--set", "controller.a_min=0.7")
     said = accepted("export", *options, cwd=tmp_path)
@@ -211,36 +211,38 @@ def test_a_wrong_flag_ends_with_code_2(tmp_path, arguments):
 
 def test_an_infeasible_alpha_names_the_largest_feasible_one(tmp_path):
     said = refused("design", "--mu", "0.5", "--alpha", "0.6", cwd=tmp_path)
-    found = re.search(r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s$", said)
+    found = re.search(r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s", said)
     assert found
     assert float(found.group(1)) == pytest.approx(0.437, abs=1e-3)
     assert files(tmp_path) == []
 
 
-def test_an_alpha_that_only_the_solver_fails_at_is_not_called_too_large(tmp_path):
-    """Ten integrators: a P exists, but the largest unit ball is beyond the solver."""
+def test_ten_integrators_are_designed_and_exported(tmp_path):
+    """What is not given is chosen and explained; both FMUs are named after the file."""
     rows = [[float(j == i + 1) for j in range(10)] for i in range(10)]
     gain = [-float(math.comb(10, i)) for i in range(10)]
     (tmp_path / "ten.toml").write_text(f"A = {rows}\nb = {[0.0] * 9 + [1.0]}\nk_lin = {gain}\n", "utf-8")
-    said = refused("design", "--system", "ten.toml", "--alpha", "0.01", cwd=tmp_path)
-    assert re.search(r"failed numerically .*, although a P exists up to alpha = 0\.03\d* 1/s$", said)
+    said = accepted("design", "--system", "ten.toml", "-o", "ten.json", cwd=tmp_path)
+    assert re.search(r"chosen: alpha = 0\.01\d* 1/s: half of the largest", said)
+    accepted("export", "--design", "ten.json", cwd=tmp_path)
+    assert files(tmp_path / "fmus") == ["ten.ssp", "ten_controller.fmu", "ten_linear_plant.fmu"]
+    said = refused("export", "--design", "ten.json", "--nominal", "hcs", cwd=tmp_path)
+    assert said.startswith("--nominal is for the rotary pendulum's units, found with a design of the system ten")
 
 
 def test_a_pair_that_is_not_controllable_is_not_blamed_on_the_gain(tmp_path):
     system = "A = [[1, 0], [0, 2]]\nb = [1, 0]\nk_lin = [-3, 0]\n"
     (tmp_path / "mine.toml").write_text(system, "utf-8")
-    assert "(A, b) must be controllable" in refused("design", "--system", "mine.toml", cwd=tmp_path)
+    assert "(A, B) must be controllable; no input moves x2" in refused("design", "--system", "mine.toml", cwd=tmp_path)
 
 
 def test_a_gain_that_does_not_stabilize_is_refused_with_its_pole(tmp_path):
     system = "A = [[0, 1], [1, 0]]\nb = [0, 1]\nk_lin = [0, -1]\n"
     (tmp_path / "mine.toml").write_text(system, "utf-8")
-    assert "k_lin must stabilize (A, b): the largest real part" in refused(
-        "design", "--system", "mine.toml", cwd=tmp_path
-    )
+    assert "K must stabilize (A, B): the largest real part" in refused("design", "--system", "mine.toml", cwd=tmp_path)
     (tmp_path / "mine.toml").write_text(system.replace("k_lin", "gain"), "utf-8")
     said = refused("design", "--system", "mine.toml", cwd=tmp_path)
-    assert said.startswith("mine.toml: k_lin is required")
+    assert said.startswith("mine.toml: a system has no entry 'gain'")
 
 
 @pytest.mark.parametrize("case", ["NaN", "tampered", "not JSON"])

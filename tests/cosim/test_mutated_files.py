@@ -11,7 +11,7 @@ import tomli_w
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cosim import archives, cli, parameter_files
+from cosim import archives, parameter_files
 from cosim.errors import UserError
 from cosim.fmu import describe
 from cosim.hil.log import Layout, RowLog, recover
@@ -22,6 +22,7 @@ from cosim.results import Result, _seal
 from cosim.scenario import load_scenario
 from fmu_export.reading import parse_json, parse_toml
 from ihc_fmu.design import Design
+from ihc_fmu.system import System
 from plant_fmu.parameters import parameter_set
 
 DEEP = "[" * 100_000
@@ -156,7 +157,7 @@ def parameters(tmp_path_factory):
 @given(data=st.data())
 def test_toml_files(tmp_path, parameters, data):
     readers = {
-        "system": (SYSTEM, lambda path: cli._read_system(path, need_gain=True)),
+        "system": (SYSTEM, System.load),
         "scenario": (SCENARIO, lambda path: load_scenario(str(path))),
         "parameters": (parameters, parameter_files.load),
     }
