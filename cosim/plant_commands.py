@@ -165,6 +165,8 @@ def new(
         f"pythonfmu build -f {name}.py -d {name}.fmu",
         f"qube-ihc linearize {name}.fmu --input torque",
         f"qube-ihc design --system {name}.toml -o {name}.json",
+        f"qube-ihc export --design {name}.json -o .",
+        f"qube-ihc run {name}_run.toml",
     )
     console.print(f"in that folder, after every change of the class {class_name(name)}:")
     for command in commands:

@@ -65,12 +65,20 @@ def export_system(
         k = estimator(design)
         found = LinearFilter(F=k.F, G=k.G, C=np.asarray(system.C), M=k.M, decay=k.decay)
     interface, hidden = design_regulator(design, found).exported()
+    source = "measured_state" if found is None else "kalman"
     plant, wires = shown_interface(system), wires_of(system)
     kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires)
     names = exported_files(system)
     plans = (
         (PLANT, plant, linear_plant_values(system), changes["plant"], plant_notes(system), "linear_plant"),
-        (CONTROLLER, interface, hidden, changes["controller"], controller_notes(design, "measured_state" if found is None else "kalman"), "controller"),
+        (
+            CONTROLLER,
+            interface,
+            hidden,
+            changes["controller"],
+            controller_notes(design, source),
+            "controller",
+        ),
     )
     with staging(output) as place:
         for (unit, shown, rest, start, notes, kind), stay, name in zip(plans, kept, names, strict=False):

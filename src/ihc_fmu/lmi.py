@@ -80,7 +80,8 @@ def solve(problem: Any, what: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # an inaccurate solution is judged by its certificate
         try:
-            problem.solve(solver=cp.CLARABEL, time_limit=SOLVER_TIME)
+            # a warm start would make the same call's result depend on the calls before it
+            problem.solve(solver=cp.CLARABEL, time_limit=SOLVER_TIME, warm_start=False)
         except cp.SolverError:
             message = f"{what}: the solver failed numerically on the matrix inequalities"
             raise InfeasibleError(message, numerical=True) from None

@@ -64,8 +64,8 @@ def test_an_error_ends_with_its_code_and_only_a_fault_shows_its_traceback(ended,
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(cli, "read_toml", fail)
-    found, err = ended("design", "--system", "mine.toml", *debug)
+    monkeypatch.setattr(cli, "_loaded", fail)
+    found, err = ended("run", "tilt", *debug)
     assert found == code
     assert says in err
     assert ("Traceback (most recent call last)" in err) == (code == 70 or bool(debug))

@@ -14,7 +14,7 @@ from cosim import master
 from cosim.errors import UserError
 from cosim.fmu import describe
 from cosim.master import PROGRESS_EVERY, Component, Interrupted, Signal, SimulationError, System, Wire, simulate
-from cosim.scenario import WIRES, build_system, load_scenario
+from cosim.scenario import build_system, load_scenario
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.start_values import controller_start_values
 from ihc_fmu.pendulum.unit import IhcControllerUnit
@@ -247,12 +247,12 @@ def test_the_first_row_holds_outputs_of_the_initialized_system(tiny, pair):
     assert result["controller.homogeneous_norm"][0] > 0.0
 
 
-def by_hand(design, order, steps, step, measurement, controller_changes, plant_changes, disturbance):
+def by_hand(design, order, steps, step, wires, controller_changes, plant_changes, disturbance):
     """The same loop over the library's units; returns the outputs of both at each communication point."""
     controller_values = CONTROLLER.start_values(controller_start_values(design) | controller_changes)
     controller = IhcControllerUnit(controller_values)
     plant = QubePlant(PLANT.start_values(plant_start_values("ident") | plant_changes))
-    sources = {w.target: w.source.split(".")[1] for w in WIRES[measurement] if w.target.startswith("controller")}
+    sources = {w.target: w.source.split(".")[1] for w in wires if w.target.startswith("controller")}
     names = [v.name for v in PLANT.calculated]
 
     def seen():
@@ -293,10 +293,10 @@ def test_the_master_adds_nothing_to_a_loop_over_the_units(fmus, design, order, n
         order,
         len(result.time) - 1,
         scenario.run.step,
-        scenario.plant.measurement,
+        system.wires,
         controller,
         plant,
-        scenario.disturbance.value,
+        scenario.disturbance.at,
     )
     variables = [
         (f"{part}.{v.name}", v) for part, i in (("controller", CONTROLLER), ("plant", PLANT)) for v in i.calculated

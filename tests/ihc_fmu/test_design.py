@@ -359,3 +359,9 @@ def test_what_is_certified_cannot_be_changed(design, paper):
 def test_impossible_scale_is_refused(design, rule):
     with pytest.raises(ValueError, match="must be"):
         design.scaled_to(**rule)
+
+
+def test_a_design_does_not_depend_on_those_before_it(paper):
+    """A journal knows runs by their design's numbers, so that the same call must give the same bytes."""
+    first, other, again = (inverse_design(system(*paper), Options(mu=mu)) for mu in (1.0, 0.5, 1.0))
+    assert first.to_json() == again.to_json() != other.to_json()
