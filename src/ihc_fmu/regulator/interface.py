@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from fmu_export.errors import UserError, shown
 from fmu_export.variables import Interface, Value, Variable
 
-from ..homogeneity import MOST_BISECTIONS
+from ..homogeneity import LARGEST, MOST_BISECTIONS
 from ..sampled_unit import FAULTS
 
 STATES, INPUTS, OUTPUTS = 16, 8, 16
@@ -27,7 +27,7 @@ DISCRETIZATIONS = ("explicit", "semi_implicit")
 ESTIMATORS = ("measured_state", "kalman", "homogeneous_observer")
 MODES = ("idle", "stabilizing", "fault")
 
-UNLIMITED = 1e300
+UNLIMITED = LARGEST
 """Limit of an input that has none."""
 
 
