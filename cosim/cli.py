@@ -8,7 +8,7 @@ import math
 import os
 import secrets
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from enum import StrEnum
@@ -40,9 +40,10 @@ from .display import (
     warn_of_messages,
 )
 from .errors import Interrupted, SimulationError, UserError
-from .export import EXPORTED, Kind, Smc, export_units
+from .export import EXPORTED, PENDULUM, Kind, Smc, export_units
 from .hil import commands as hil_commands
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, varied
+from .system_export import export_system, exported_files
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
@@ -214,13 +215,21 @@ def export(
         Path | None, typer.Option(help="Design file of the `design` command; none: the default design.")
     ] = None,
     parameters: Annotated[
-        str, typer.Option(help="Parameter set of the plant: matrices, ident, hcs, listed, swapped, or a TOML file.")
-    ] = "ident",
-    nominal: Annotated[str, typer.Option(help="Parameter set of the controller's nominal model.")] = "ident",
+        str | None,
+        typer.Option(
+            help="Pendulum: parameter set of the plant: matrices, ident, hcs, listed, swapped, or a TOML file; none: ident."
+        ),
+    ] = None,
+    nominal: Annotated[
+        str | None, typer.Option(help="Pendulum: parameter set of the controller's nominal model; none: ident.")
+    ] = None,
     smc: Annotated[
-        Smc,
-        typer.Option(help="fitted: SMC1, a fit to the paper's tables; linear-poles: SMC2, its linear part is k_lin."),
-    ] = Smc.fitted,
+        Smc | None,
+        typer.Option(
+            help="Pendulum: fitted: SMC1, a fit to the paper's tables; linear-poles: SMC2, its linear part is k_lin; none: "
+            "fitted."
+        ),
+    ] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write to.")] = Path("fmus"),
     change: Annotated[
         list[str] | None,
@@ -254,6 +263,8 @@ def export(
 ) -> None:
     """Export plant and controller as FMUs (FMI 2.0), and both with their wires as one SSP file.
 
+    Without a design, or with one of a system named rotary_pendulum, these are the QUBE-Servo 2 and its controller with
+    swing-up; with another, a linear plant of the design's matrices and the controller of the design, named after its system.
     A design or a parameter set only changes start values, so that nothing is compiled. `fmpy info FILE` shows them; each
     FMU carries its documentation. Native FMUs run without Python, the plant also for model exchange.
     """
@@ -270,14 +281,38 @@ def export(
         raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
     names = None if platforms is None else [name.strip() for name in platforms.split(",")]
     shown = None if outputs is None else [name.strip() for name in outputs.split(",")]
-    check_replaceable(*(output / name for name in EXPORTED))
+    of_pendulum = found.system.name == PENDULUM
+    if not of_pendulum:
+        given = {"--parameters": parameters, "--nominal": nominal, "--smc": smc, "--other-model": other_model or None}
+        _refuse_pendulums({**given, "--kind": None if kind is Kind.native else kind}, found.system.name)
+    check_replaceable(*(output / name for name in (EXPORTED if of_pendulum else exported_files(found.system))))
     with console.status("building") if names else nullcontext() as status:
         building = None if status is None else lambda what: status.update(f"building {what}")
-        paths = export_units(
-            found, parameters, nominal, output, changes, smc, kind, names, building, shown, other_model=other_model
-        )
+        if of_pendulum:
+            paths = export_units(
+                found,
+                parameters or "ident",
+                nominal or "ident",
+                output,
+                changes,
+                smc or Smc.fitted,
+                kind,
+                names,
+                building,
+                shown,
+                other_model=other_model,
+            )
+        else:
+            paths = export_system(found, output, changes, names, building, shown)
     for path in paths:
         console.print(f"wrote {escaped(path)}")
+
+
+def _refuse_pendulums(given: Mapping[str, object], system: str) -> None:
+    """Raise UserError for an option that only the pendulum's units have."""
+    for option, value in given.items():
+        if value is not None:
+            raise UserError(f"{option} is for the rotary pendulum's units, found with a design of the system {system}")
 
 
 def _load_design(path: Path) -> Design:

@@ -30,6 +30,8 @@ class Smc(StrEnum):
     linear_poles = "linear-poles"
 
 
+PENDULUM = "rotary_pendulum"
+"""Name of the systems whose controller is the pendulum's."""
 EXPORTED = ("QubeServo2.fmu", "IhcController.fmu", "QubeWithController.ssp")
 """The files that an export writes."""
 
@@ -90,7 +92,7 @@ def export_units(
     )
     for native, _, start, _ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
-    kept = _kept_outputs(outputs, {"plant": PLANT.interface, "controller": CONTROLLER.interface}, wires)
+    kept = kept_outputs(outputs, {"plant": PLANT.interface, "controller": CONTROLLER.interface}, wires)
     problem = misfit(plans[1][2], plans[0][2])
     if problem is not None and not other_model:
         raise UserError(f"{problem}; --other-model exports them all the same")
@@ -128,7 +130,7 @@ def _export(
     return [plant, controller, system]
 
 
-def _kept_outputs(
+def kept_outputs(
     names: Sequence[str] | None, interfaces: Mapping[str, Interface], wires: Sequence[tuple[str, str]]
 ) -> list[list[str] | None]:
     """Return per unit the outputs that stay such, None for all; raise UserError for others or without a wire's source."""

@@ -1,4 +1,4 @@
-"""The second Ctrl-C: the first one asks a run to end at its next look, the second ends the process if it does not.
+"""Ctrl-C while FMUs run: the first one asks a run to end at its next look, the second ends the process if it does not.
 
 An FMU that hangs in a call keeps the interpreter's main thread from seeing any signal. What CPython does on a signal even
 then is to write its number to the wakeup descriptor; a thread of this module reads it there.
@@ -53,6 +53,20 @@ def second_ends(last: Callable[[], str] = lambda: "") -> Iterator[None]:
         writer.close()
         watcher.join()
         reader.close()
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[list[int]]:
+    """Collect Ctrl-C in a list instead of raising it: raised inside a Python FMU it would be that FMU's failure."""
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield received
+        return
+    earlier = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    try:
+        yield received
+    finally:
+        signal.signal(signal.SIGINT, earlier)
 
 
 def _watch(reader: socket.socket, over: threading.Event, last: Callable[[], str]) -> None:

@@ -41,10 +41,16 @@ class Plant(ABC):
         self.states, self.inputs, self.outputs = names.states, names.inputs, names.outputs
         self.n, self.m = len(self.states), len(self.inputs)
         self.names = [v.name for v in (*self.states, *self.inputs)]
+        self.interrupt: list[int] = []
 
     def sizes(self, z: Array) -> Array:
         """Return the magnitudes of states and inputs: nominal attributes, 1 without, or the values where larger."""
         return np.maximum([nominal_of(v) for v in (*self.states, *self.inputs)], np.abs(z))
+
+    def look(self) -> None:
+        """Raise KeyboardInterrupt where Ctrl-C has been collected in `interrupt`: between an FMU's calls, not in them."""
+        if self.interrupt:
+            raise KeyboardInterrupt
 
     @abstractmethod
     def begin(self) -> Array:
@@ -161,6 +167,7 @@ class ModelExchangePlant(Plant):
             self._open = True
 
     def _set(self, z: Array) -> None:
+        self.look()
         self._ready()
         self._instance.set_inputs(self.inputs, z[self.n :])
         self._instance.set_states(z[: self.n])

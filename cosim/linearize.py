@@ -23,6 +23,7 @@ from .derivative_checks import largest
 from .derivatives import EvaluationError, finite, least_steps, solve
 from .errors import UserError
 from .fmu import Value, describe_any
+from .interrupts import deferred_interrupt
 from .linear_model import LinearModel, finite_model
 from .linear_plants import ModelExchangePlant, Plant
 from .plant_variables import finite_number, index_of, unit_of
@@ -62,11 +63,14 @@ def linear_model(
     and for an FMU that does not say enough; FmuError where it fails at its start values.
     """
     plant = _open(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
-    with closing(plant), np.errstate(all="ignore"):  # numbers beyond the range end in a refusal
+    quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal
+    with closing(plant), deferred_interrupt() as plant.interrupt, quiet:
         z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))
         try:
             z, notes = _equilibrium(plant, z, chosen, fixed)
-            return finite_model(plant.linear(z, notes))
+            model = finite_model(plant.linear(z, notes))
+            plant.look()
+            return model
         except EvaluationError as error:
             where = ", ".join(f"{name} = {value:g}" for name, value in zip(plant.names, z, strict=True))
             raise UserError(f"{path} cannot be evaluated near {where}: {error}") from None

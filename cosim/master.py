@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import math
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -24,7 +21,7 @@ from fmu_export.variables import did_you_mean
 
 from .errors import Interrupted, SimulationError, UserError
 from .fmu import RECORDED, FmuError, Instance, Port, Value
-from .interrupts import second_ends
+from .interrupts import deferred_interrupt, second_ends
 from .native_loop import NativeLoop, needs_python
 from .results import Result, versions
 from .room import check_rows
@@ -341,20 +338,6 @@ def _conversions(system: System) -> dict[str, Any]:
     return {"conversions": found} if found else {}
 
 
-@contextmanager
-def _deferred_interrupt() -> Iterator[list[int]]:
-    """Collect Ctrl-C in a list instead of raising it: raised inside a Python FMU it would be that FMU's failure."""
-    received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    earlier = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
-    try:
-        yield received
-    finally:
-        signal.signal(signal.SIGINT, earlier)
-
-
 class _Run:
     """One run, from instantiation to the freed instances."""
 
@@ -376,7 +359,7 @@ class _Run:
         self.time = start_time
         loop = self._native_loop if engine == "native" else self._python_loop
         try:
-            with second_ends(), _deferred_interrupt() as self.interrupt:
+            with second_ends(), deferred_interrupt() as self.interrupt:
                 self._start(start_time, start_time + self.steps * step)
                 loop(step, start_time, order, progress)
             self.about["complete"] = True

@@ -8,10 +8,9 @@ import sys
 from pathlib import Path
 from string import Template
 
-from filing.ownership import WRITTEN
-
+from filing.files import staging
+from filing.origin import WRITTEN
 from fmu_export.errors import shown
-from fmu_export.files import staging
 
 from .errors import UserError
 from .names import is_plain

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from filing.ownership import check_replaceable
 
+from filing.ownership import check_replaceable
 from fmu_export.errors import shown
 
 from .display import console, escaped, problems, say_notes, show_table
@@ -164,6 +164,9 @@ def new(
     commands = (
         f"pythonfmu build -f {name}.py -d {name}.fmu",
         f"qube-ihc linearize {name}.fmu --input torque",
+        f"qube-ihc design --system {name}.toml -o {name}.json",
+        f"qube-ihc export --design {name}.json -o .",
+        f"qube-ihc run {name}_run.toml",
     )
     console.print(f"in that folder, after every change of the class {class_name(name)}:")
     for command in commands:

@@ -118,6 +118,7 @@ class CoSimulationPlant(Plant):
             advance = instance.stepper()
             found = [self._read(instance, read)[self.n :]]
             for k in range(2 * count):
+                self.look()
                 instance.transfer(held)
                 advance(k * step, step)
                 if k + 1 in (count, 2 * count):

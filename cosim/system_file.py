@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filing.ownership import WRITTEN, check_replaceable
 
 from filing.files import write_file
+from filing.origin import WRITTEN
+from filing.ownership import check_replaceable
 from fmu_export.files import is_file
 from fmu_export.reading import parse_toml, read_text
 from ihc_fmu.system import System, from_dict

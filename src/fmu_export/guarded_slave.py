@@ -101,10 +101,14 @@ def _finalize_at_exit(library: Path) -> None:
 
 
 class GuardedSlave(Fmi2Slave):
-    """An FMI 2.0 co-simulation slave around a `Unit`, driven by its `Interface`."""
+    """An FMI 2.0 co-simulation slave around a `Unit`, driven by its `Interface`.
+
+    `packages` names those that its code imports besides its own and fmu_export.
+    """
 
     interface: ClassVar[Interface]
     unit_class: ClassVar[type[Unit]]
+    packages: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)

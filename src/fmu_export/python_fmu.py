@@ -23,8 +23,8 @@ from .model_description import Capabilities, model_description
 from .origin import ANONYMOUS, Origin
 from .variables import Value
 
-SHARED = ("fmu_export", "pythonfmu", "rotary_pendulum")
-"""Packages that a unit's code may import besides its own."""
+SHARED = ("fmu_export", "pythonfmu")
+"""Packages that every unit's code may import besides its own and those that its slave names."""
 
 SCRIPT = """import ctypes
 
@@ -74,7 +74,7 @@ def export_python_fmu(
 
 def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[str, bytes]:
     """Return the bundled package, the script that the wrapper loads, and the manifest."""
-    code = {name.replace(".", "/") + ".py": text for name, text in _modules(slave.__module__).items()}
+    code = {name.replace(".", "/") + ".py": text for name, text in _modules(slave.__module__, slave.packages).items()}
     folders = {str(parent) for name in code for parent in PurePosixPath(name).parents} - {"."}
     code |= {f"{folder}/__init__.py": b"" for folder in folders} | {"__init__.py": b""}
     digest = code_digest(code)
@@ -95,13 +95,14 @@ def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[st
     return files
 
 
-def _modules(root: str) -> dict[str, bytes]:
+def _modules(root: str, packages: Collection[str]) -> dict[str, bytes]:
     """Return the module `root` and all it imports, by name, with imports made relative to the bundling package.
 
-    Raises ImportError where a module imports anything but its own package, the shared ones and the standard library.
+    Raises ImportError where a module imports anything but its own package, `packages`, the shared ones and the standard
+    library.
     """
     unit_package = root.split(".", maxsplit=1)[0]
-    own = {unit_package, *SHARED}
+    own = {unit_package, *packages, *SHARED}
     found: dict[str, bytes] = {}
     queue = [root]
     while queue:
@@ -112,7 +113,7 @@ def _modules(root: str) -> dict[str, bytes]:
         if spec is None or spec.origin is None:
             raise ImportError(f"module {name} cannot be found, so it cannot be bundled")
         source = Path(spec.origin).read_text(encoding="utf-8")
-        for imported in _imports(source, name):
+        for imported in _imports(source, name, own):
             top = imported.split(".")[0]
             if top in own:
                 queue.append(imported)
@@ -120,12 +121,12 @@ def _modules(root: str) -> dict[str, bytes]:
                 raise ImportError(
                     f"{name} imports {imported}: code that runs in an FMU imports the standard library only"
                 )
-        pattern = rf"^(\s*)from ({'|'.join(sorted(own))})\."
+        pattern = rf"^(\s*)from ({'|'.join(sorted(own))})(?=[. ])"
         dots = "." * (name.count(".") + 1)
-        bundled = re.sub(pattern, rf"\1from {dots}\2.", source, flags=re.MULTILINE)
+        bundled = re.sub(pattern, rf"\1from {dots}\2", source, flags=re.MULTILINE)
         left = [imported for imported in _absolute_imports(bundled) if imported.split(".")[0] in own]
         if left:
-            raise ImportError(f"{name} must import {left[0]} as `from PACKAGE.MODULE import NAME` to be bundled")
+            raise ImportError(f"{name} must import {left[0]} as `from {left[0]} import NAME` to be bundled")
         found[name] = bundled.encode()
     return found
 
@@ -141,14 +142,18 @@ def _absolute_imports(source: str) -> set[str]:
     return names
 
 
-def _imports(source: str, module: str) -> set[str]:
-    """Return the full names of the modules that `source` imports."""
-    names = _absolute_imports(source)
+def _imports(source: str, module: str, own: Collection[str]) -> set[str]:
+    """Return the full names of the modules that `source` imports; from a package in `own` these are its members."""
+    names = _absolute_imports(source) - set(own)
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.ImportFrom) and node.level:
+        if not isinstance(node, ast.ImportFrom):
+            continue
+        members = [node.module] if node.module else [alias.name for alias in node.names]
+        if node.level:
             package = module.rsplit(".", node.level)[0]
-            members = [node.module] if node.module else [alias.name for alias in node.names]
             names |= {f"{package}.{member}" for member in members}
+        elif node.module in own:
+            names |= {f"{node.module}.{alias.name}" for alias in node.names}
     return names
 
 

@@ -29,9 +29,11 @@ def write_ssp(
     A wire is (output, input), each as `instance.variable`; a variable's name may have dots, an instance's not. All outputs
     become connectors, and those inputs that a wire ends at; other inputs keep their start values. An annotation gives
     OMSimulator its master: fixed steps, as long as the FMUs that cannot vary theirs want. The same files give the same
-    bytes. `origin` is who makes the file. Raises UserError for a wire from what is no output or to what is no input.
+    bytes. `origin` is who makes the file. Raises UserError for a wire from what is no output or to what is no input, an
+    instance's name with a dot and different files of one name.
     """
     ends = [(*_parts(a), *_parts(b)) for a, b in wires]
+    _check_components(components)
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
     ET.register_namespace("oms", OMS)
@@ -58,17 +60,27 @@ def write_ssp(
         )
         wired = {variable for _, _, owner, variable in ends if owner == instance}
         units |= _add_connectors(component, descriptions[instance], wired)
-    connections = ET.SubElement(system, f"{{{SSD}}}Connections")
+    connections = ET.Element(f"{{{SSD}}}Connections")
     for a, x, b, y in ends:
         ET.SubElement(
             connections, f"{{{SSD}}}Connection", startElement=a, startConnector=x, endElement=b, endConnector=y
         )
+    _append(system, connections)
     _add_master(system, min(_steps(descriptions.values())))
     _add_units(root, units)
     ET.indent(root)
     files["SystemStructure.ssd"] = ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
     write_zip(path, files, origin.software)
     return path
+
+
+def _check_components(components: Mapping[str, Path]) -> None:
+    paths: dict[str, Path] = {}
+    for instance, path in components.items():
+        if "." in instance:
+            raise UserError(f"an instance's name must have no dot, found {instance!r}")
+        if paths.setdefault(path.name, path) != path:
+            raise UserError(f"FMU files must have different names, found {paths[path.name]} and {path}")
 
 
 def _parts(end: str) -> tuple[str, str]:
@@ -111,7 +123,7 @@ def _add_connectors(component: ET.Element, description: ET.Element, wired: set[s
 
     SSP wants every unit in base units: a connector of another unit has none.
     """
-    connectors = ET.SubElement(component, f"{{{SSD}}}Connectors")
+    connectors = ET.Element(f"{{{SSD}}}Connectors")
     units = set()
     for variable in description.iter("ScalarVariable"):
         kind, name = variable.get("causality", "local"), variable.get("name", "")
@@ -125,14 +137,20 @@ def _add_connectors(component: ET.Element, description: ET.Element, wired: set[s
         if declared.tag == "Real" and unit is not None and base_unit(unit) is not None:
             own.set("unit", unit)
             units.add(unit)
+    _append(component, connectors)
     return units
 
 
+def _append(parent: ET.Element, items: ET.Element) -> None:
+    """Append a list unless it is empty, which SSP does not admit."""
+    if len(items) > 0:
+        parent.append(items)
+
+
 def _add_units(root: ET.Element, units: set[str]) -> None:
-    if not units:
-        return
-    definitions = ET.SubElement(root, f"{{{SSD}}}Units")
+    definitions = ET.Element(f"{{{SSD}}}Units")
     for name in sorted(units):
         unit, base = ET.SubElement(definitions, f"{{{SSC}}}Unit", name=name), base_unit(name)
         assert base is not None  # as _add_connectors has seen
         ET.SubElement(unit, f"{{{SSC}}}BaseUnit", base.attributes)
+    _append(root, definitions)

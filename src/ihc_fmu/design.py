@@ -23,7 +23,8 @@ Array = np.ndarray
 
 FORMAT = "qube-ihc design 2"
 FORMAT_1 = "qube-ihc design 1"
-"""Of designs for one input without names, which are read too."""
+ORDER_1, NAME_1 = 4, "rotary_pendulum"
+"""Of designs for one input without names, which are read too; those of the order of the pendulum were for it."""
 
 QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 """Numbers beyond the range end in a refusal by the block form or the certificate, not in warnings."""
@@ -169,7 +170,10 @@ class Design:
         unknown = data.keys() - {*model, "P", *_SCALARS} - {"format", "derived"}
         if missing or unknown:
             raise UserError(f"a design has missing {sorted(missing)} and unknown {shown(sorted(unknown))} entries")
-        system = from_dict(data["system"] if data["format"] == FORMAT else {name: data[name] for name in model})
+        given = data["system"] if data["format"] == FORMAT else {name: data[name] for name in model}
+        system = from_dict(given)
+        if data["format"] == FORMAT_1 and system.n == ORDER_1:
+            system = system.changed(name=NAME_1)
         if not _is_numbers(data["P"], 2):
             raise UserError(f"P must be a list of rows of numbers, all of one length, found {shown(data['P'])}")
         return cls(

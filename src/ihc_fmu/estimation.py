@@ -43,8 +43,8 @@ def noise(design: Design) -> Noise:
 
     A sample's variance is deviation^2 + resolution^2/12, for a sensor without both NOISE_FREE of its extent. The intensity
     of disturbance i makes its estimate as fast as the bandwidth omega, as if nothing else moved the system: an output that
-    answers to the input's k-th integral with the gain g tells it with q = r omega^(2 k + 2)/g^2, r the sensor's spectral density,
-    and outputs together with the harmonic sum. White noise on the inputs has the same size within the bandwidth.
+    answers to the input's k-th integral with the gain g tells it with q = r omega^(2 k + 2)/g^2, r the sensor's spectral
+    density, and outputs together with the harmonic sum. White noise on the inputs has the same size within the bandwidth.
     """
     s = design.system
     variances = _variances(design)

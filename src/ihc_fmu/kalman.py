@@ -85,7 +85,8 @@ def kalman_filter(
     Q += np.diag([0.0] * n + [*noise.disturbances, *noise.biases])
     seen = np.hstack([C, np.zeros((p, m)), np.eye(p)])
     which = np.ix_(kept, kept)
-    _check_detectable(F[which], seen[:, kept], None if names is None else [names[i] for i in kept])
+    chosen = () if names is None else [str(names[i]) for i in kept]
+    _check_detectable(F[which], seen[:, kept], chosen)
     M = np.zeros((n + m + p, p))
     M[kept] = _gain(F[which], Q[which], seen[:, kept], h, noise.outputs)
     held = np.zeros((n + m, n + m))
@@ -112,7 +113,7 @@ def _gain(F: Array, Q: Array, C: Array, h: float, variances: Sequence[float]) ->
     return M
 
 
-def _check_detectable(F: Array, C: Array, names: Sequence[str] | None) -> None:
+def _check_detectable(F: Array, C: Array, names: Sequence[str]) -> None:
     """Raise UserError that names the combination of states that no output sees and that does not decay (Hautus' test)."""
     s = scaling(F.T, C.T)
     F_s = F / s.states * s.states[:, None] / s.omega
@@ -124,7 +125,7 @@ def _check_detectable(F: Array, C: Array, names: Sequence[str] | None) -> None:
         if sizes[-1] < RANK:
             direction = directions[-1].conj()
             direction = (direction / direction[np.argmax(np.abs(direction))]).real / s.states
-            raise UserError(f"no measured output tells {combination(direction, names or ())} from nothing")
+            raise UserError(f"no measured output tells {combination(direction, names)} from nothing")
 
 
 def multiplied(A: Matrix, B: Matrix) -> list[list[float]]:
@@ -159,7 +160,9 @@ def stationary_covariance(F_t: Matrix, C: Matrix, Q: Matrix, variances: Sequence
     2004), from A = F', G = C' R^-1 C, X = Q; converges quadratically.
     """
     A, X = [list(row) for row in F_t], [list(row) for row in Q]
-    G = multiplied(transpose(C), [[entry / variance for entry in row] for row, variance in zip(C, variances, strict=True)])
+    G = multiplied(
+        transpose(C), [[entry / variance for entry in row] for row, variance in zip(C, variances, strict=True)]
+    )
     unit = [[1.0 if i == j else 0.0 for j in range(len(A))] for i in range(len(A))]
     for _ in range(DOUBLINGS):
         both = solve(plus(unit, multiplied(G, X)), [a + g for a, g in zip(A, G, strict=True)])

@@ -210,7 +210,7 @@ class System:
         """Return the system with fields replaced; C stays absent where it was, and a new C has new outputs."""
         kept: dict[str, Any] = {"C": None, "outputs": ()} if self.measures_state else {}
         if "C" in changes:
-            kept = dict.fromkeys(("y_eq", "resolutions", "deviations")) | dict.fromkeys(_OF_OUTPUTS, ())
+            kept = {"y_eq": None, "resolutions": None, "deviations": None, **dict.fromkeys(_OF_OUTPUTS, ())}
         return replace(self, **{**kept, **changes})
 
     def with_lqr(self, Q: Array, R: Array) -> System:
@@ -267,7 +267,7 @@ class System:
         """Return the system of a TOML file; errors name the file."""
         data = read_toml(path, "system")
         try:
-            return from_dict(data)
+            return from_dict({"name": re.sub(r"\W|^(?=\d)", "_", path.stem, flags=re.ASCII) or "system", **data})
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
 

@@ -13,3 +13,4 @@ class QubeServo2(GuardedSlave):
 
     interface = INTERFACE
     unit_class = QubePlant
+    packages = ("rotary_pendulum",)

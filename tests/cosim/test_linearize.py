@@ -321,6 +321,12 @@ def test_an_fmu_that_wants_one_communication_step_gets_no_other(plant):
     np.testing.assert_array_equal(linear_model(fixed, step=1e-3).A, model.A)
 
 
+def test_ctrl_c_during_a_python_plants_step_ends_it_and_is_not_the_plants_failure(plant):
+    stop = "import signal\nself.x += 0.0\nif self.u > 0.005:\n    signal.raise_signal(signal.SIGINT)"
+    with pytest.raises(KeyboardInterrupt):
+        linear_model(plant("Stopped", stop + RK4.format(acceleration="self.u - x")))
+
+
 # A model for model exchange made by others
 
 

@@ -13,6 +13,7 @@ import pytest
 from cosim.errors import UserError
 from cosim.new import new
 from cosim.scenario import load_scenario
+from ihc_fmu.design import Design
 from ihc_fmu.system import System
 from tests.cosim.command import ended, files, sentence
 
@@ -24,13 +25,16 @@ def begun(tmp_path_factory):
     done = ended("new", "see_saw", cwd=folder)
     assert done.returncode == 0, done.stderr
     commands = [line.split() for line in done.stdout.splitlines() if line.startswith("    ")]
-    assert [command[0] for command in commands] == ["pythonfmu", "qube-ihc"]
+    assert [command[0] for command in commands] == ["pythonfmu", *4 * ["qube-ihc"]]
     place = folder / "see_saw"
     python = [sys.executable, "-m", *commands[0]]
     subprocess.run(python, cwd=place, check=True, capture_output=True, timeout=60)
     before = (place / "see_saw.toml").read_bytes()
     done = ended(*commands[1][1:], cwd=place)
     assert done.returncode == 0, done.stderr
+    for command in commands[2:]:
+        later = ended(*command[1:], cwd=place)
+        assert later.returncode == 0, later.stderr
     return place, before, done
 
 
@@ -38,7 +42,8 @@ def test_the_system_file_is_what_linearize_writes_byte_for_byte(begun):
     place, before, done = begun
     assert (place / "see_saw.toml").read_bytes() == before
     assert "note" not in done.stderr
-    assert files(place) == ["see_saw.fmu", "see_saw.py", "see_saw.toml", "see_saw_run.toml"]
+    made = ["results/see_saw_run.csv", "see_saw.fmu", "see_saw.json", "see_saw_controller.fmu"]
+    assert {*made, "see_saw.py", "see_saw.toml", "see_saw_run.toml"} <= {*files(place)}
 
 
 def test_the_system_is_the_plants_and_its_controller_holds_it(begun):
@@ -62,6 +67,13 @@ def test_the_system_is_the_plants_and_its_controller_holds_it(begun):
         plant.torque = float(np.clip(u, system.lower, system.upper)[0])
         assert plant.do_step(k * scenario.run.step, scenario.run.step)
     assert abs(plant.angle) < 1e-6
+
+
+def test_the_design_is_certified_and_of_this_system(begun):
+    place, _, _ = begun
+    design = Design.load(place / "see_saw.json")
+    assert (design.system.name, design.mu) == ("see_saw", 1.0)
+    assert design.certificate.decrease > 0.0
 
 
 def test_the_scenario_names_the_files_that_there_are_and_will_be(begun):

@@ -122,12 +122,12 @@ def test_file_holds_what_fmi_wants_with_no_time_stamps(name, fmus):
     assert expected <= set(names)
 
 
-def test_bundle_holds_the_units_own_package_and_the_shared_ones_only(name, fmus):
+def test_bundle_holds_the_units_own_packages_and_the_shared_ones_only(name, fmus, slaves):
     modules = [parts for parts in python_modules(fmus[name]) if len(parts) > 1]
     (bundle,) = {parts[0] for parts in modules}
     assert bundle.startswith(f"{name}_")
     packages = {parts[1] for parts in modules if len(parts) > 2}
-    assert packages == {UNIT_PACKAGES[name], "fmu_export", "pythonfmu"}
+    assert packages == {UNIT_PACKAGES[name], *slaves[name].packages, "fmu_export", "pythonfmu"}
     assert {parts[2] for parts in modules if parts[1] == "fmu_export"} == {
         "__init__",
         "errors",

@@ -1,7 +1,9 @@
 """The native sources under the address and undefined behaviour sanitizers of the system's C compiler."""
 
 import os
+import random
 import shutil
+import struct
 import subprocess
 from pathlib import Path
 
@@ -119,6 +121,32 @@ def test_host_runs_the_unit_clean(name, kind, objects, host_arguments):
     host = compile_c(folder, "host", PROGRAMS / "host.c")
     printed = run_clean(host, library, *host_arguments(name, kind)).splitlines()
     assert len(printed) == 11
+
+
+def damaged(data, rng):
+    """Return start values of which bytes are changed, left out or added, most of them among the names."""
+    data = bytearray(data)
+    for _ in range(rng.randint(1, 3)):
+        at = rng.choice([rng.randrange(len(data)), rng.randrange(len(data) // 2, len(data))])
+        new = bytes(rng.choice(b"\0\0\xff\xc3\xe2\xf0\x80a") for _ in range(rng.randint(0, 3)))
+        data[at : at + rng.randint(0, 2)] = new
+    return bytes(data[: rng.choice([len(data), len(data), rng.randrange(len(data))])])
+
+
+def test_damaged_start_values_do_no_harm(objects, native_folders, tmp_path):
+    folder, _ = objects(PLANT)
+    loads = compile_c(folder, "loads", PROGRAMS / "loads.c", "start_values_file.c")
+    whole = (native_folders[PLANT] / "resources" / "start_values.bin").read_bytes()
+    (count,) = struct.unpack_from("<I", whole, 12)
+    rng = random.Random(1)
+    files = [whole, *(damaged(whole, rng) for _ in range(400))]
+    for i, data in enumerate(files):
+        (tmp_path / str(i)).mkdir()
+        (tmp_path / str(i) / "start_values.bin").write_bytes(data)
+    printed = run_clean(loads, count, *((tmp_path / str(i)).as_uri() for i in range(len(files)))).splitlines()
+    names = whole[16 + 64 + 8 * count + 4 :]
+    assert printed[0].split()[::2] == ["1", str(len(names) - count)]
+    assert {line.split()[0] for line in printed} == {"0", "1"}
 
 
 @pytest.mark.parametrize(("largest", "manner"), [(1e3, "honest"), (1e300, "honest"), (1e300, "forge")])

@@ -460,6 +460,27 @@ def test_two_fmus_of_one_unit_are_static_libraries_of_one_program(folders, tmp_p
 # The SSP
 
 
+def test_ssp_leaves_out_units_that_have_no_base_units(export, files, tmp_path):
+    odd = [replace(v, unit="furlong") if v.name == LEVEL else v for v in ONE.variables]
+    fmu = export(tmp_path / "odd.fmu", interface=replace(ONE, variables=tuple(odd)), outputs=[LEVEL])
+    assert validate_fmu(str(fmu)) == []
+    path = write_ssp(tmp_path / "odd.ssp", "Odd", {"odd": fmu}, [])
+    read_ssd(str(path), validate=True)
+    assert b"furlong" in contents(fmu)["modelDescription.xml"]
+    assert b"furlong" not in contents(path)["SystemStructure.ssd"]
+
+
+def test_components_have_plain_names_and_files_of_their_own(files, tmp_path):
+    other = tmp_path / files["ONE"].name
+    other.write_bytes(files["TWO"].read_bytes())
+    for components, message in (
+        ({"a.b": files["ONE"]}, "an instance's name must have no dot, found 'a.b'"),
+        ({"a": files["ONE"], "b": other}, "FMU files must have different names, found .* and .*north_tank"),
+    ):
+        with pytest.raises(UserError, match=message):
+            write_ssp(tmp_path / "bad.ssp", "Bad", components, [])
+
+
 def test_wires_go_by_any_name(files, tmp_path):
     path = tmp_path / "pair.ssp"
     wires = [(f"one.{LEVEL}", "two.pump")]

@@ -64,6 +64,16 @@ def test_norm_is_homogeneous_of_degree_one(state, s):
 
 
 @examples
+@given(block_states(), st.floats(-1, 1))
+def test_norm_is_homogeneous_for_states_of_every_size(state, where):
+    """Dilated by a power of 2 that brings coordinates to 1e-280 or 1e280: exact where the weights are integers, mu = 1."""
+    e, _, Pz, z = state
+    k = int(where * 900 / (1 + e[0]))
+    y = np.array([entry * 2.0 ** (k * (1 + e_j)) for entry, e_j in zip(z, e, strict=True)])
+    assert norm(Pz, y, e, 1.0) == pytest.approx(2.0**k * norm(Pz, z, e, 1.0), rel=1e-12)
+
+
+@examples
 @given(block_states(), st.floats(-27, 27))
 def test_warm_start_does_not_change_the_norm(state, sigma):
     e, mu, Pz, z = state

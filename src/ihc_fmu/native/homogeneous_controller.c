@@ -93,7 +93,13 @@ regulator_status regulator_prepare(const regulator_params *p, regulator_prepared
     if (p->estimator == REGULATOR_ESTIMATOR_MEASURED_STATE && p->output_count != n) {
         return REGULATOR_MEASURED_STATES;
     }
-    if (p->estimator != REGULATOR_ESTIMATOR_MEASURED_STATE
+    if (p->estimator == REGULATOR_ESTIMATOR_HOMOGENEOUS_OBSERVER && !are_exponents(p->observer_exponent, n)) {
+        return REGULATOR_EXPONENTS;
+    }
+    if (p->estimator == REGULATOR_ESTIMATOR_HOMOGENEOUS_OBSERVER && p->q_min > p->q_max) {
+        return REGULATOR_ERROR_BOUNDS;
+    }
+    if (p->estimator == REGULATOR_ESTIMATOR_KALMAN
         && fabs(p->filter_sample_time - p->sample_time) > 1e-9 * p->sample_time) {
         return REGULATOR_FILTER_TIME;
     }
@@ -172,6 +178,58 @@ static int kalman_step(const regulator_params *p, regulator_state *s, const doub
     return 1;
 }
 
+/* S = L_0 + To' diag(q^(nu (1 + e_j))) Lz (n, p), q = |C x - y| limited. */
+static void observer_gain(const regulator_params *p, const double *x, const double *y, double *S)
+{
+    const int n = p->state_count, outputs = p->output_count;
+    double errors[OUTPUTS], scaled[STATES * OUTPUTS];
+    for (int i = 0; i < outputs; i++) {
+        errors[i] = dot(&p->C[i * n], x, n) - y[i];
+    }
+    const double q = clamp(sqrt(dot(errors, errors, outputs)), p->q_min, p->q_max);
+    for (int j = 0; j < n; j++) {
+        const double power = pow(q, p->observer_degree * (1 + p->observer_exponent[j]));
+        for (int i = 0; i < outputs; i++) {
+            scaled[j * outputs + i] = power * p->Lz[j * outputs + i];
+        }
+    }
+    for (int i = 0; i < n; i++) {
+        for (int j = 0; j < outputs; j++) {
+            double sum = 0.0;
+            for (int k = 0; k < n; k++) {
+                sum += p->To[k * n + i] * scaled[k * outputs + j];
+            }
+            S[i * outputs + j] = p->L0[i * outputs + j] + sum;
+        }
+    }
+}
+
+/* x <- (I - h (A + S C))^-1 (x + h B u - h S y); 0 where not finite. */
+static int observer_step(const regulator_params *p, regulator_state *s, const double *y)
+{
+    const int n = p->state_count, m = p->input_count, outputs = p->output_count;
+    const double h = p->sample_time;
+    double S[STATES * OUTPUTS], M[STATES * STATES], x[STATES], held[INPUTS];
+    for (int i = 0; i < m; i++) {
+        held[i] = s->command[i] - p->input_equilibrium[i];
+    }
+    observer_gain(p, s->x, y, S);
+    for (int i = 0; i < n; i++) {
+        const double *row = &S[i * outputs];
+        x[i] = s->x[i] + h * (dot(&p->G[i * m], held, m) - dot(row, y, outputs));
+        for (int j = 0; j < n; j++) {
+            M[i * n + j] = (i == j ? 1.0 : 0.0) - h * (p->F[i * n + j] + dot_column(row, &p->C[j], outputs, n));
+        }
+    }
+    if (!solve(M, x, n, 1) || !all_finite(x, n)) {
+        return 0;
+    }
+    for (int i = 0; i < n; i++) {
+        s->x[i] = flushed(x[i], LEAST_ESTIMATE);
+    }
+    return 1;
+}
+
 /* Advance the estimator; 0, and estimates as they were, where they would not be finite. */
 static int estimate(const regulator_params *p, regulator_state *s, const double *y)
 {
@@ -179,7 +237,7 @@ static int estimate(const regulator_params *p, regulator_state *s, const double 
     const int primed = s->primed;
     s->primed = 1;
     if (p->estimator != REGULATOR_ESTIMATOR_MEASURED_STATE && primed) {
-        return kalman_step(p, s, y);
+        return p->estimator == REGULATOR_ESTIMATOR_KALMAN ? kalman_step(p, s, y) : observer_step(p, s, y);
     }
     first_estimate(p, y, x);
     if (!all_finite(x, p->state_count)) {

@@ -1,6 +1,6 @@
 /* Stabilization of any linear model of up to 16 states, 8 inputs and 16 measured outputs: state estimation by a linear Kalman
- * filter, set-points, the linear or implicit homogeneous law, compensation of estimated disturbances, integral action,
- * limits, faults. What is sampled, and when, is the sample clock's.
+ * filter or a homogeneous observer, set-points, the linear or implicit homogeneous law, compensation of estimated
+ * disturbances, integral action, limits, faults. What is sampled, and when, is the sample clock's.
  *
  * At each sample, with deviations x, y, u from the equilibrium of the model and set-points r:
  *     e = x - Nx r,  r_d = ||e||_d,  u = law(e) + Nu r - d + v,  v' = r_d^(1-2 mu) K_i d(-ln r_d) e
@@ -30,6 +30,7 @@ typedef enum {
     REGULATOR_BOUNDS,             /* a_min exceeds b_max */
     REGULATOR_LIMITS,             /* a lower limit exceeds the upper one */
     REGULATOR_MEASURED_STATES,    /* other numbers of states and outputs although the states are measured */
+    REGULATOR_ERROR_BOUNDS,       /* q_min exceeds q_max */
     REGULATOR_FILTER_TIME         /* the Kalman filter is for another sample time */
 } regulator_status;               /* and those of sample_clock.h */
 
@@ -60,11 +61,17 @@ typedef struct {
     int estimator;
     double first[REGULATOR_STATES * REGULATOR_OUTPUTS]; /* (n, p), states that the first measurement is taken for */
     double C[REGULATOR_OUTPUTS * REGULATOR_STATES];     /* (p, n), y = C x */
-    double F[BLOCK_SQUARE];                             /* (n, n), x+ = F x + G (u + d) */
+    double F[BLOCK_SQUARE];                             /* (n, n), x+ = F x + G (u + d); A, B of the observer */
     double G[BLOCK_GAINS];                              /* (n, m) */
     double M[(REGULATOR_STATES + REGULATOR_INPUTS + REGULATOR_OUTPUTS) * REGULATOR_OUTPUTS]; /* (n + m + p, p), gain */
     double bias_decay;                                  /* what remains of a bias after a sample [1] */
     double filter_sample_time;                          /* sample time that the filter is for [s] */
+    double To[BLOCK_SQUARE];                            /* (n, n), block coordinates of the observer, of (A', C') */
+    int observer_exponent[REGULATOR_STATES];            /* e_j of theirs */
+    double L0[REGULATOR_STATES * REGULATOR_OUTPUTS];    /* (n, p), L_0 of the observer */
+    double Lz[REGULATOR_STATES * REGULATOR_OUTPUTS];    /* (n, p), To^-T (L - L_0) */
+    double observer_degree;                             /* nu [1] */
+    double q_min, q_max;                                /* bounds of the output error in its gain */
 } regulator_params;
 
 typedef struct {

@@ -95,6 +95,9 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
         snprintf(text, size, "states that are measured need as many outputs, found %d states and %d outputs", p->state_count,
                  p->output_count);
         break;
+    case REGULATOR_ERROR_BOUNDS:
+        snprintf(text, size, "q_min must not exceed q_max, found q_min = %g and q_max = %g", p->q_min, p->q_max);
+        break;
     case REGULATOR_FILTER_TIME:
         snprintf(text, size, "the Kalman filter is for a sample_time of %g s, found sample_time = %g s",
                  p->filter_sample_time, p->sample_time);

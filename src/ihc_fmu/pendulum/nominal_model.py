@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from fmu_export.errors import UserError
-from rotary_pendulum import equation
+from rotary_pendulum.equation import Coefficients, arm_torque, is_regular
+from rotary_pendulum.equation import accelerations as accelerations_of
 from rotary_pendulum.runge_kutta import rk4_step
 
 
@@ -29,9 +30,9 @@ class NominalModel(NamedTuple):
     motor_damping: float  # k_m^2 / R_m, 0 without back-EMF [N.m.s/rad]
 
     @property
-    def pendulum(self) -> equation.Coefficients:
+    def pendulum(self) -> Coefficients:
         """The coefficients of eq. (5), the motor's damping among the arm's; without dry friction."""
-        return equation.Coefficients(
+        return Coefficients(
             J_11=self.arm_inertia,
             J_22=self.pendulum_inertia,
             zeta_4=self.swing_inertia,
@@ -49,7 +50,7 @@ def nominal_model(values: Mapping[str, Any]) -> NominalModel:
     Raises UserError where the determinant of its inertia matrix upright, where it is smallest, is lost in rounding.
     """
     m = NominalModel(*[values[f"nominal_{name}"] for name in NominalModel._fields])
-    if not equation.is_regular(m.pendulum):
+    if not is_regular(m.pendulum):
         raise UserError(
             f"the square of nominal_coupling must be below nominal_arm_inertia times nominal_pendulum_inertia, found "
             f"{m.coupling:g}, {m.arm_inertia:g} and {m.pendulum_inertia:g} kg.m2"
@@ -61,12 +62,12 @@ def accelerations(
     m: NominalModel, delta: float, theta_dot: float, delta_dot: float, voltage: float
 ) -> tuple[float, float]:
     """Return (theta'', delta'') [rad/s^2] of eq. (5) under `voltage` [V]."""
-    return equation.accelerations(m.pendulum, delta, theta_dot, delta_dot, m.torque_per_volt * voltage, 0.0)
+    return accelerations_of(m.pendulum, delta, theta_dot, delta_dot, m.torque_per_volt * voltage, 0.0)
 
 
 def voltage_for(m: NominalModel, delta: float, theta_dot: float, delta_dot: float, theta_ddot: float) -> float:
     """Return the voltage [V] under which the arm accelerates by `theta_ddot` [rad/s^2]: inverse dynamics of eq. (5)."""
-    return equation.arm_torque(m.pendulum, delta, theta_dot, delta_dot, theta_ddot) / m.torque_per_volt
+    return arm_torque(m.pendulum, delta, theta_dot, delta_dot, theta_ddot) / m.torque_per_volt
 
 
 def predict(
@@ -77,7 +78,7 @@ def predict(
 
     def rate(x: Sequence[float]) -> tuple[float, ...]:
         _, delta, theta_dot, delta_dot = x
-        return theta_dot, delta_dot, *equation.accelerations(c, delta, theta_dot, delta_dot, torque, 0.0)
+        return theta_dot, delta_dot, *accelerations_of(c, delta, theta_dot, delta_dot, torque, 0.0)
 
     theta, delta, theta_dot, delta_dot = rk4_step(rate, (theta, delta, theta_dot, delta_dot), h)
     return theta, delta, theta_dot, delta_dot

@@ -13,3 +13,4 @@ class IhcController(GuardedSlave):
 
     interface = INTERFACE
     unit_class = IhcControllerUnit
+    packages = ("rotary_pendulum",)

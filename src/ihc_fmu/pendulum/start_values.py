@@ -14,10 +14,10 @@ from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 from ..companion import chain_form
 from ..design import Design
 from ..homogeneity import dot, solve
-from .kalman import kalman_gain, linearize
 from ..sliding_mode import SlidingMode, fitted_smc
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
+from .kalman import kalman_gain, linearize
 from .nominal_model import nominal_model
 
 CAPTURE_FRACTION = 0.85

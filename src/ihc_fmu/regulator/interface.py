@@ -159,13 +159,25 @@ INTERFACE = Interface(
         _choice("estimator", "measured_state", ESTIMATORS, "where the state comes from", tunable=False),
         *_entries("first", STATES * OUTPUTS, "(n, p): states that the first measurement is taken for"),
         *_entries("C", OUTPUTS * STATES, "(p, n): measured outputs y = C x"),
-        *_entries("F", STATES * STATES, "(n, n): states after a sample by the Kalman filter's model"),
-        *_entries("G", STATES * INPUTS, "(n, m): their change by held inputs"),
+        *_entries(
+            "F", STATES * STATES, "(n, n): states after a sample by the Kalman filter's model; A of the observer"
+        ),
+        *_entries("G", STATES * INPUTS, "(n, m): their change by held inputs; B of the observer"),
         *_entries("M", (STATES + INPUTS + OUTPUTS) * OUTPUTS, "(n + m + p, p): gain of the Kalman filter"),
         _fixed("bias_decay", 0.0, "what remains of a bias after a sample", min=0.0, max=1.0),
         _fixed(
             "filter_sample_time", 0.0, "sample time that the Kalman filter is for; 0 is none", "s", min=0.0, max=1e3
         ),
+        *_identity("To", "(n, n): block coordinates of the homogeneous observer, of (A', C')"),
+        *[
+            _fixed(entry, 0, "blocks behind that of this coordinate", type="Integer", min=0, max=STATES - 1)
+            for entry in numbered("observer_exponent", STATES)
+        ],
+        *_entries("L0", STATES * OUTPUTS, "(n, p): L_0 of the observer"),
+        *_entries("Lz", STATES * OUTPUTS, "(n, p): To^-T (L - L_0) with its linear gain L"),
+        _fixed("observer_degree", 0.0, "nu of the observer; 0 is the linear one", min=-1.0, max=0.0),
+        _fixed("q_min", 1.0, "smallest output error in its gain", min=1e-12, max=1e12),
+        _fixed("q_max", 1.0, "largest output error in its gain", min=1e-12, max=1e12),
     ),
     step_size=1e-3,
     stop_time=1.0,

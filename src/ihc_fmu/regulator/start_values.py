@@ -36,6 +36,27 @@ class LinearFilter:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Observer:
+    """The homogeneous observer x' = A x + B u + S (C x - y), S = L_0 + q^(nu (I + G_0)) (L - L_0), q = |C x - y|.
+
+    A (n, n), B (n, m), C (p, n) of the model. T (n, n), `exponents` (n,): block coordinates of (A', C'), in which
+    G_0 = (T^-1 diag(e) T)'; L_0 (n, p) the transpose of their K_0: A + L_0 C is nilpotent. L (n, p): a linear observer's
+    gain, A + L C Hurwitz. nu in [-1, 0]: its degree. q is limited to [q_min, q_max].
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    T: Array
+    exponents: Sequence[int]
+    L_0: Array
+    L: Array
+    nu: float
+    q_min: float
+    q_max: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Regulator:
     """All that the controller FMU of a design needs, in plain arrays.
 
@@ -63,15 +84,15 @@ class Regulator:
     x_eq: Array = _DEFAULT
     u_eq: Array = _DEFAULT
     y_eq: Array = _DEFAULT
-    filter: LinearFilter | None = None
+    filter: LinearFilter | Observer | None = None
     N_x: Array = _DEFAULT
     N_u: Array = _DEFAULT
     K_i: Array = _DEFAULT
 
     def __post_init__(self) -> None:
         n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
-        if (self.filter is not None) != self.shape.estimated:
-            raise UserError("a controller has a filter where its states are estimated, and only there")
+        if isinstance(self.filter, LinearFilter) != self.shape.estimated:
+            raise UserError("disturbances are estimated by a Kalman filter, and by nothing else")
         if self.filter is None and n != p:
             raise UserError(f"states that are measured need as many outputs, found {n} states and {p} outputs")
         shapes = dict.fromkeys(("T", "N", "P"), (n, n)) | dict.fromkeys(("K", "K_0", "K_i"), (m, n))
@@ -82,9 +103,20 @@ class Regulator:
             given = getattr(self, name)
             value = np.full(shape, defaults.get(name, 0.0)) if given is None else given
             object.__setattr__(self, name, _checked(name, value, shape, finite=name not in defaults))
-        if self.filter is not None:
-            for name, shape in {"F": (n, n), "G": (n, m), "C": (p, n), "M": (n + m + p, p)}.items():
-                _checked(f"the filter's {name}", getattr(self.filter, name), shape)
+        estimators: dict[type, dict[str, tuple[int, ...]]] = {
+            LinearFilter: {"F": (n, n), "G": (n, m), "C": (p, n), "M": (n + m + p, p)},
+            Observer: {
+                "A": (n, n),
+                "B": (n, m),
+                "C": (p, n),
+                "T": (n, n),
+                "exponents": (n,),
+                "L_0": (n, p),
+                "L": (n, p),
+            },
+        }
+        for name, shape in estimators.get(type(self.filter), {}).items():
+            _checked(f"the estimator's {name}", getattr(self.filter, name), shape)
 
     def values(self) -> dict[str, Value]:
         """Return the start values of the compiled table that the design decides."""
@@ -97,11 +129,19 @@ class Regulator:
         arrays |= {"lower": _bounded(self.lower), "upper": _bounded(self.upper)}
         arrays |= {"output_equilibrium": self.y_eq, "input_equilibrium": self.u_eq, "state_equilibrium": self.x_eq}
         arrays |= {"setpoint": self.y_eq}
-        if self.filter is not None:
-            f = self.filter
-            arrays |= {"F": f.F, "G": f.G, "C": f.C, "M": f.M, "first": np.linalg.pinv(f.C)}
+        f = self.filter
+        if f is not None:
+            arrays |= {"C": f.C, "first": np.linalg.pinv(f.C)}
+        if isinstance(f, LinearFilter):
+            arrays |= {"F": f.F, "G": f.G, "M": f.M}
             values |= {"estimator": ESTIMATORS.index("kalman") + 1, "bias_decay": f.decay}
             values |= {"filter_sample_time": self.sample_time}
+        if isinstance(f, Observer):
+            arrays |= {"F": f.A, "G": f.B, "To": f.T, "L0": f.L_0, "Lz": np.linalg.solve(f.T.T, f.L - f.L_0)}
+            values |= {"estimator": ESTIMATORS.index("homogeneous_observer") + 1}
+            values |= {"observer_degree": f.nu, "q_min": f.q_min, "q_max": f.q_max}
+            names = numbered("observer_exponent", n)
+            values |= {name: int(e) for name, e in zip(names, f.exponents, strict=True)}
         for name, entries in arrays.items():
             flat = np.asarray(entries, dtype=float).ravel()
             values |= {entry: float(number) for entry, number in zip(numbered(name, flat.size), flat, strict=True)}
@@ -115,7 +155,9 @@ class Regulator:
         return replace(interface, variables=tuple(shown)), values
 
 
-def design_regulator(design: Design, estimator: LinearFilter | None = None, K_i: Array | None = None) -> Regulator:
+def design_regulator(
+    design: Design, estimator: LinearFilter | Observer | None = None, K_i: Array | None = None
+) -> Regulator:
     """Return what the controller FMU of a design needs; `estimator` and the integral gain K_i as in `Regulator`.
 
     The set-points of its system become matrices by `set_point_matrices`. Raises UserError where the states are not measured
@@ -132,8 +174,8 @@ def design_regulator(design: Design, estimator: LinearFilter | None = None, K_i:
         inputs=tuple((q.name, q.unit) for q in system.inputs),
         outputs=tuple((q.name, q.unit) for q in system.outputs),
         set_points=system.set_points,
-        biases=system.biases if estimator is not None else (),
-        estimated=estimator is not None,
+        biases=system.biases if isinstance(estimator, LinearFilter) else (),
+        estimated=isinstance(estimator, LinearFilter),
     )
     return Regulator(
         shape=shape,

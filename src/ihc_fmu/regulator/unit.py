@@ -2,7 +2,7 @@
 
 At each sample, with deviations x, y, u from the equilibrium of the model and those set-points r that it has:
 
-    the state x: measured, or estimated from the measured outputs y
+    the state x: measured, or estimated from the measured outputs y by a Kalman filter or a homogeneous observer
     e = x - N_x r,   r_d = ||e||_d,   u_h the LC or IHC at e
     u = u_h + N_u r - d + v, limited;   v' = s^2 sum over j of Ki_z_ij s^e_j z_j,   s = r_d^-mu
 
@@ -24,9 +24,9 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from .. import homogeneity, laws
-from ..homogeneity import LEAST, Vector, dot, flushed
+from ..homogeneity import LEAST, Matrix, Vector, dot, flushed
 from ..sampled_unit import NOT_FINITE, Fault, SampledState, SampledUnit
-from .estimators import Estimate, KalmanFilter, kalman_step
+from .estimators import Estimate, HomogeneousObserver, KalmanFilter, kalman_step, observer_step
 from .interface import DISCRETIZATIONS, ESTIMATORS, INPUTS, LAWS, MODES, NORM_SOLVERS, OUTPUTS, STATES, numbered
 
 
@@ -100,6 +100,12 @@ class HomogeneousControllerUnit(SampledUnit):
         entries = self._vector(name, rows * columns)
         return [entries[columns * i : columns * (i + 1)] for i in range(rows)]
 
+    def _exponents(self, name: str) -> list[int]:
+        e = self._vector(name, self.n)
+        if e[-1] != 0 or any(a - b not in (0, 1) for a, b in pairwise(e)):
+            raise UserError("the exponents must fall by 0 or 1 from coordinate to coordinate, to 0")
+        return e
+
     def _design(self) -> laws.BlockDesign:
         n, m = self.n, self.m
         upper = iter(self._vector("P", n * (n + 1) // 2))
@@ -107,9 +113,7 @@ class HomogeneousControllerUnit(SampledUnit):
         for i in range(n):
             for j in range(i, n):
                 P[i][j] = P[j][i] = next(upper)
-        e = self._vector("exponent", n)
-        if e[-1] != 0 or any(a - b not in (0, 1) for a, b in pairwise(e)):
-            raise UserError("the exponents must fall by 0 or 1 from coordinate to coordinate, to 0")
+        e = self._exponents("exponent")
         T, K, Ki = self._matrix("T", n, n), self._matrix("K", m, n), self._matrix("Ki", m, n)
         design = laws.block_design(
             e, T, self._matrix("N", n, n), self._matrix("B", n, m), K, self._matrix("K0", m, n), P, self.mu
@@ -143,18 +147,25 @@ class HomogeneousControllerUnit(SampledUnit):
         if measured:
             return
         self.first = self._matrix("first", n, p)
-        self.filter = KalmanFilter(
-            self._matrix("F", n, n),
-            self._matrix("G", n, m),
-            self._matrix("C", p, n),
-            self._matrix("M", n + m + p, p),
-            self.values["bias_decay"],
-        )
+        F, G, C = self._matrix("F", n, n), self._matrix("G", n, m), self._matrix("C", p, n)
+        if self.estimator == "homogeneous_observer":
+            self._take_observer(F, G, C)
+            return
+        self.filter = KalmanFilter(F, G, C, self._matrix("M", n + m + p, p), self.values["bias_decay"])
         gain_time = self.values["filter_sample_time"]
         if abs(gain_time - self.sample_time) > 1e-9 * self.sample_time:
             raise UserError(
                 f"the Kalman filter is for a sample_time of {gain_time:g} s, found sample_time = {self.sample_time:g} s"
             )
+
+    def _take_observer(self, A: Matrix, B: Matrix, C: Matrix) -> None:
+        n, p, values = self.n, self.p, self.values
+        T, L_0, Lz = self._matrix("To", n, n), self._matrix("L0", n, p), self._matrix("Lz", n, p)
+        e, nu = self._exponents("observer_exponent"), values["observer_degree"]
+        q_min, q_max = values["q_min"], values["q_max"]
+        if q_min > q_max:
+            raise UserError(f"q_min must not exceed q_max, found q_min = {q_min:g} and q_max = {q_max:g}")
+        self.observer = HomogeneousObserver(A, B, C, T, e, L_0, Lz, nu, q_min, q_max)
 
     def initialize(self, time: float, inputs: tuple[float, ...]) -> list[str]:
         """Start the sample clock at `time` [s]; with finite inputs, compute the norm of the state that they mean."""
@@ -236,7 +247,10 @@ class HomogeneousControllerUnit(SampledUnit):
             found = Estimate(self._first_estimate(y), state.d, state.b)
         else:
             held = [command - at_rest for command, at_rest in zip(state.commands, self.u_eq, strict=True)]
-            found = kalman_step(self.filter, Estimate(state.x, state.d, state.b), held, y)
+            if self.estimator == "kalman":
+                found = kalman_step(self.filter, Estimate(state.x, state.d, state.b), held, y)
+            else:
+                found = Estimate(observer_step(self.observer, self.sample_time, state.x, held, y), state.d, state.b)
         state.primed = True
         if not all(map(math.isfinite, (*found.x, *found.d, *found.b))):
             return (math.nan,) * self.n

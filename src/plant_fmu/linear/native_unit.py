@@ -12,7 +12,9 @@ from fmu_export.model_description import ModelExchange
 from fmu_export.native_unit import NativeUnit
 from fmu_export.variables import Value
 
-from .interface import INTERFACE, matrix, vector
+from ..integrator import LEAST
+from .exponential import BALANCING_SWEEPS, DEGREE, MOST_DOUBLINGS
+from .interface import INTERFACE, MOST_INPUTS, MOST_OUTPUTS, MOST_STATES, matrix, vector
 from .unit import LinearPlantUnit
 
 
@@ -50,4 +52,13 @@ NATIVE = NativeUnit(
     common=("linear_exponential.c", "linear_exponential.h"),
     model_exchange=model_exchange,
     largest_model_exchange=_largest(),
+    constants={
+        "LINEAR_STATES": MOST_STATES,
+        "LINEAR_INPUTS": MOST_INPUTS,
+        "LINEAR_OUTPUTS": MOST_OUTPUTS,
+        "LINEAR_DEGREE": DEGREE,
+        "LINEAR_BALANCING_SWEEPS": BALANCING_SWEEPS,
+        "LINEAR_MOST_DOUBLINGS": MOST_DOUBLINGS,
+        "LINEAR_LEAST": LEAST,
+    },
 )

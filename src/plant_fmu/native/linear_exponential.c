@@ -2,8 +2,6 @@
 
 #include <math.h>
 
-enum { DEGREE = 15, BALANCING_SWEEPS = 24, MOST_DOUBLINGS = 32 };
-
 typedef double square[LINEAR_STATES][LINEAR_STATES];
 
 /* The sum of magnitudes of n numbers `stride` apart, without the entry of index `without`. */
@@ -42,7 +40,7 @@ static void balance(square X, int n, int exponents[LINEAR_STATES])
     for (int i = 0; i < n; i++) {
         exponents[i] = 0;
     }
-    for (int sweep = 0; sweep < BALANCING_SWEEPS && moved; sweep++) {
+    for (int sweep = 0; sweep < LINEAR_BALANCING_SWEEPS && moved; sweep++) {
         moved = 0;
         for (int i = 0; i < n; i++) {
             const double row = fmax(1.0, sum_of(X[i], 1, n, i));
@@ -96,7 +94,7 @@ static void polynomial(square X, int n, square phi)
             phi[i][j] = i == j ? 1.0 : 0.0;
         }
     }
-    for (int k = DEGREE + 1; k > 1; k--) {
+    for (int k = LINEAR_DEGREE + 1; k > 1; k--) {
         multiply(X, phi, n, term);
         for (int i = 0; i < n; i++) {
             for (int j = 0; j < n; j++) {
@@ -167,7 +165,7 @@ int linear_hold_inputs(const double A[LINEAR_STATES][LINEAR_STATES], const doubl
         largest = fmax(largest, sum_of(X[i], 1, n, -1));
     }
     const int needed = exponent_of(largest) + 1, doublings = needed > 0 ? needed : 0;
-    if (doublings > MOST_DOUBLINGS) {
+    if (doublings > LINEAR_MOST_DOUBLINGS) {
         return 0;
     }
     exponential(X, n, doublings, held->E, phi);

@@ -6,10 +6,9 @@
 #define LINEAR_EXPONENTIAL_H
 
 #include "fmu_names.h" /* several linear plants may be parts of one program */
+#include "linear_plant_constants.h" /* generated from what Python has: the largest sizes LINEAR_STATES, ... */
 
 #define linear_hold_inputs FMU_NAMED(linear_hold_inputs)
-
-enum { LINEAR_STATES = 16, LINEAR_INPUTS = 8 }; /* the largest model */
 
 typedef struct {
     double E[LINEAR_STATES][LINEAR_STATES]; /* e^(A h) - I [1] */

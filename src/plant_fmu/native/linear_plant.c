@@ -2,11 +2,10 @@
 
 #include <math.h>
 
-static const double LEAST = 0x1p-300; /* smaller states and inputs count as 0: see integrator.LEAST */
-
+/* 0 for what is too small to count. */
 static double flushed(double value)
 {
-    return fabs(value) > 0.0 && fabs(value) < LEAST ? 0.0 : value;
+    return fabs(value) > 0.0 && fabs(value) < LINEAR_LEAST ? 0.0 : value;
 }
 
 /* What a sensor reports. */

@@ -17,8 +17,6 @@
 #define linear_hold FMU_NAMED(linear_hold)
 #define linear_tangent FMU_NAMED(linear_tangent)
 
-enum { LINEAR_OUTPUTS = 16 };
-
 typedef enum {
     LINEAR_OK = 0,
     LINEAR_LIMITS_CROSSED,    /* an input's lower limit exceeds its upper one */

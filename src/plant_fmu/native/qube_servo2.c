@@ -269,6 +269,7 @@ void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *
                   const qube_inputs *du, qube_outputs *dy)
 {
     const qube_coefficients c = qube_lump(p);
+    const pendulum_coefficients *e = &c.pendulum;
     const double free = fabs(u->voltage + u->disturbance_voltage) < p->voltage_limit ? 1.0 : 0.0;
     const double dvoltage = free * (du->voltage + du->disturbance_voltage);
     const double seen = p->encoder_counts == 0 ? 1.0 : 0.0;
@@ -284,9 +285,9 @@ void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *
     dy->delta_encoder = seen * dx[1];
     dy->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
     dy->motor_torque = c.k_m * dy->current;
-    dy->energy = (c.pendulum.zeta_4 * sine * cosine * v * v + c.pendulum.varpi_2 * sine * v * w - c.pendulum.gravity * sine) * dx[1]
-        + ((c.pendulum.J_11 + c.pendulum.zeta_4 * sine * sine) * v - c.pendulum.varpi_2 * cosine * w) * dx[2]
-        + (c.pendulum.J_22 * w - c.pendulum.varpi_2 * cosine * v) * dx[3];
+    dy->energy = (e->zeta_4 * sine * cosine * v * v + e->varpi_2 * sine * v * w - e->gravity * sine) * dx[1]
+        + ((e->J_11 + e->zeta_4 * sine * sine) * v - e->varpi_2 * cosine * w) * dx[2]
+        + (e->J_22 * w - e->varpi_2 * cosine * v) * dx[3];
     dy->theta_ddot = drate[2];
     dy->delta_ddot = drate[3];
     dy->current_dot = drate[4];

@@ -13,10 +13,10 @@ from scipy.linalg import expm
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.regulator.interface import INTERFACE, OUTPUTS, Shape
 from ihc_fmu.regulator.native_unit import NATIVE
-from ihc_fmu.regulator.start_values import LinearFilter, Regulator
+from ihc_fmu.regulator.start_values import LinearFilter, Observer, Regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit
 from tests.fmu_export.conftest import Host
-from tests.ihc_fmu.blocks import random_system
+from tests.ihc_fmu.blocks import exponents_of, random_blocks, random_system, regular
 
 EXACT = sys.platform == "linux" and platform.machine() == "x86_64"
 """Where Python and the binary call the same mathematical library, all results are equal to the last bit."""
@@ -103,10 +103,11 @@ def names(letter, count):
     return tuple((f"{letter}{i}", "1") for i in range(1, count + 1))
 
 
-def random_regulator(n, m, p=0, mu=1.0, seed=0, *, integral=False, set_points=False, h=H) -> Any:
-    """Return a random design; with p > 0 outputs behind a Kalman filter of state, disturbances and the last bias."""
-    system, rng = random_system(n, m, mu, seed), np.random.default_rng([n, m, p, seed, 7])
-    outputs = names("y", p or n)
+def random_regulator(n, m, p=0, mu=1.0, seed=0, *, observed=0, integral=False, set_points=False, h=H) -> Any:
+    """Return a random design of measured states, of p outputs with a Kalman filter, or of `observed` with an observer."""
+    system, rng = random_system(n, m, mu, seed), np.random.default_rng([n, m, p + observed, seed, 7])
+    count = p or observed or n
+    outputs = names("y", count)
     shape = Shape(
         name="plant",
         states=names("x", n),
@@ -126,7 +127,14 @@ def random_regulator(n, m, p=0, mu=1.0, seed=0, *, integral=False, set_points=Fa
     if integral:
         rest["K_i"] = -system.B.T @ system.P
     if set_points:
-        rest |= {"N_x": rng.normal(size=(n, p or n)), "N_u": rng.normal(size=(m, p or n))}
+        rest |= {"N_x": rng.normal(size=(n, count)), "N_u": rng.normal(size=(m, count))}
+    if observed:
+        e = exponents_of(random_blocks(rng, n, observed))
+        T, gains = regular(rng, n), 0.3 * rng.normal(size=(2, n, observed))
+        rest["filter"] = Observer(
+            A=system.A, B=system.B, C=rng.normal(size=(observed, n)), T=T, exponents=e, L_0=gains[0], L=gains[1],
+            nu=-0.3, q_min=0.1, q_max=3.0,
+        )  # fmt: skip
     limits = rng.uniform(1.0, 5.0, m) * np.where(np.arange(m) % 2, 1.0, 1e3)  # of some inputs never reached
     return Regulator(
         shape=shape,
@@ -143,6 +151,6 @@ def random_regulator(n, m, p=0, mu=1.0, seed=0, *, integral=False, set_points=Fa
         upper=2 * limits,
         x_eq=rng.normal(size=n),
         u_eq=rng.uniform(-0.5, 0.5, m),
-        y_eq=rng.normal(size=p or n),
+        y_eq=rng.normal(size=count),
         **rest,
     )

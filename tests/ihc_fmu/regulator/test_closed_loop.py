@@ -7,7 +7,8 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from fmu_export.errors import UserError
-from ihc_fmu.regulator.interface import INTERFACE
+from ihc_fmu.regulator.documentation import notes
+from ihc_fmu.regulator.interface import ESTIMATORS, INTERFACE
 from ihc_fmu.regulator.start_values import LinearFilter, design_regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit, Mode
 from ihc_fmu.synthesis import Options, inverse_design
@@ -138,6 +139,16 @@ def test_names_units_and_limits_are_those_of_the_system():
     assert shown.by_name["elbow_torque_lower"].start == -2.0
     assert "elbow_bias_estimate" in shown.by_name
     assert hidden["state_count"] == 4
+
+
+def test_notes_hold_the_systems_names_and_every_margin():
+    system = System(**ARM).with_lqr(np.ones(4), np.ones(2)).changed(states=("a < b", *ARM["states"][1:]))
+    design = inverse_design(system, Options(mu=1.0, alpha=ALPHA["arm"], u_max=3.0))
+    for estimator in ESTIMATORS:
+        page = notes(design, estimator)
+        assert "x = (a &lt; b, elbow, shoulder_rate, elbow_rate), u = (shoulder_torque, elbow_torque)" in page
+        for name, value in design.certificate.as_dict().items():
+            assert name == "identities" or f"<tr><td>{name}</td><td>{value:.3g}</td></tr>" in page
 
 
 def test_outputs_alone_need_an_estimator():

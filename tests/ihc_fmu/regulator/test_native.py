@@ -22,6 +22,7 @@ KINDS = [
     {"p": 3, "set_points": True},
     {"p": 2, "integral": True},
     {"integral": True, "set_points": True},
+    {"observed": 2, "set_points": True},
 ]
 
 
@@ -75,7 +76,7 @@ def test_tuning_between_steps_is_the_same(both):
         pair.step(inputs)
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=["state", "filter", "filter and integral", "all"])
+@pytest.mark.parametrize("kind", KINDS, ids=["state", "filter", "filter and integral", "integral", "observer"])
 def test_numbers_of_all_sizes_are_answered_alike(kind, both):
     rng = np.random.default_rng(3)
     for seed, (n, m) in enumerate([(1, 1), (4, 1), (5, 3), (16, 8)]):
@@ -144,6 +145,11 @@ def test_all_inputs_that_are_not_finite_are_named(both):
         ({"T_1": 0.0, "T_2": 0.0, "T_3": 0.0}, "T must be regular, found a singular matrix"),
         ({"exponent_1": 5}, "the exponents must fall by 0 or 1 from coordinate to coordinate, to 0"),
         ({"exponent_3": 1}, "the exponents must fall by 0 or 1 from coordinate to coordinate, to 0"),
+        ({"estimator": 3, "q_min": 2.0, "q_max": 1.5}, "q_min must not exceed q_max, found q_min = 2 and q_max = 1.5"),
+        (
+            {"estimator": 3, "observer_exponent_2": 2},
+            "the exponents must fall by 0 or 1 from coordinate to coordinate, to 0",
+        ),
         ({"estimator": 1}, "states that are measured need as many outputs, found 3 states and 2 outputs"),
         (
             {"sample_time": 2e-3},
@@ -154,7 +160,7 @@ def test_all_inputs_that_are_not_finite_are_named(both):
             "P and the gains must be of moderate size, found block coordinates that are not finite",
         ),
     ],
-    ids=["bounds", "limits", "T", "first exponent", "last exponent", "outputs", "time", "sizes"],
+    ids=["bounds", "limits", "T", "exponent", "last", "errors", "observer", "outputs", "time", "sizes"],
 )
 def test_values_that_contradict_each_other_are_refused_by_both_with_the_same_words(changes, words, whole):
     values = random_regulator(3, 2, 2).values() | changes

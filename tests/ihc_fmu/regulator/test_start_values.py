@@ -60,10 +60,10 @@ def test_shown_and_hidden_values_are_together_those_of_the_design():
         ({"exponents": [1, 0]}, r"exponents must have the shape \(4,\), found \(2,\)"),
         ({"upper": [np.nan, 1.0]}, "upper must be finite, found nan"),
         ({"u_eq": [np.inf, 0.0]}, "u_eq must be finite, found inf"),
-        ({"filter": None}, "a controller has a filter where its states are estimated, and only there"),
+        ({"filter": None}, "disturbances are estimated by a Kalman filter, and by nothing else"),
         (
             {"filter": LinearFilter(F=np.eye(4), G=np.zeros((4, 2)), C=np.eye(3, 4), M=np.zeros((4, 3)))},
-            r"the filter's M must have the shape \(9, 3\), found \(4, 3\)",
+            r"the estimator's M must have the shape \(9, 3\), found \(4, 3\)",
         ),
     ],
 )

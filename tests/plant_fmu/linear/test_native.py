@@ -221,7 +221,8 @@ def test_model_exchange_with_cvode_ends_where_the_steps_end(system, tmp_path):
 
 
 def test_directional_derivatives_are_the_matrices_and_0_behind_limits_and_counts(folder_of):
-    system = CRANE.changed(C=np.array([[1.0, 0.5, 0, 0], [0, 0, 2.0, -1.0]]))
+    C = np.array([[1.0, 0.5, 0, 0], [0, 0, 2.0, -1.0]])
+    system = CRANE.changed(C=C, outputs=CRANE.outputs, resolutions=CRANE.resolutions)
     native = Native(folder_of(system), Native.MODEL_EXCHANGE).initialize(force=1.0)
     rates = [f"{q.name}_derivative" for q in system.states]
     states = ["position_true", "velocity", "angle", "rate"]

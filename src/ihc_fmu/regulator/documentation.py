@@ -1,0 +1,37 @@
+"""What the controller FMU of any linear model says about itself: HTML for its documentation."""
+
+from __future__ import annotations
+
+from html import escape
+
+from ..design import Design
+
+ESTIMATES = {
+    "measured_state": "The states are the measured outputs.",
+    "kalman": "A Kalman filter estimates the states, what adds to each input, and biases of chosen outputs.",
+    "homogeneous_observer": "A homogeneous observer estimates the states.",
+}
+
+
+def notes(design: Design, estimator: str) -> str:
+    """Return the law's equations, what the modes do, and the design's certificate; `estimator` as in the FMU's table."""
+    found = {k: v for k, v in design.certificate.as_dict().items() if k != "identities"}  # digits of rounding alone
+    margins = "\n".join(f"<tr><td>{escape(name)}</td><td>{value:.3g}</td></tr>" for name, value in found.items())
+    states = ", ".join(escape(q.name) for q in design.system.states)
+    inputs = ", ".join(escape(q.name) for q in design.system.inputs)
+    return f"""<h2>Law</h2>
+<pre>LC    u = K x,   x = ({states}), u = ({inputs}), deviations from the equilibrium
+IHC   u = K_0 x + r^(1-mu) (K - K_0) d(-ln r) x,   d(s) = exp(s G_d)
+      r = ||x||_d, the root of ||d(-ln r) x||_P = 1, limited to [a_min, b_max]</pre>
+<p>D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems", eqs. (8),
+(10), (11), Algorithm 1 (corrected) and Remark 5, for any order and several inputs. With a_min = b_max = 1 the IHC is the LC.
+With set-points x is the deviation from the states at rest for them. {ESTIMATES[estimator]}</p>
+<p>The controller samples each sample_time, the communication step must divide it, and holds its commands in between. A
+sample that falls on the start of a step acts in that step. Modes: idle (enabled false; commands 0 within their limits),
+stabilizing, fault (the same commands, latched until reset; a measurement or a command that is not finite).</p>
+<h2>Certificate ({escape(design.method)}, alpha = {design.alpha:g} 1/s, mu = {design.mu:g})</h2>
+<p>Margins recomputed from the numbers, their signs in exact arithmetic. From a state with norm r0 the ideal law reaches the
+origin within r0^mu/(mu alpha). What is proven is the law in continuous time on the linear model with the true state: not
+its sampling, its estimates or the limits of its inputs.</p>
+<table><tr><th>margin</th><th></th></tr>
+{margins}</table>"""
