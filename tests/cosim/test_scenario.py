@@ -27,6 +27,7 @@ from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.pendulum.interface import kalman_gains
 from ihc_fmu.pendulum.start_values import kalman_values, nominal_values
 from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.system import System
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS, QubeParameters
 
@@ -292,8 +293,8 @@ def test_what_was_exported_stays_unless_the_scenario_says_otherwise(design, tmp_
 
 def test_a_design_for_another_model_meets_no_plant(design, tmp_path):
     order = [0, 2, 1, 3]
-    A, b, k_lin = design.A[np.ix_(order, order)], design.b[order], design.k_lin[order]
-    mixed = replace(design, A=A, b=b, k_lin=k_lin, P=design.P[np.ix_(order, order)])
+    A, B, K = design.A[np.ix_(order, order)], design.B[order], design.K[:, order]
+    mixed = replace(design, system=replace(design.system, A=A, B=B, K=K), P=design.P[np.ix_(order, order)])
     message = "its states are in the order theta, theta_dot, delta, delta_dot, not theta, delta, theta_dot, delta_dot"
     with pytest.raises(UserError, match=f"{message}; --other-model"):
         export_units(mixed, output=tmp_path / "none")
@@ -302,7 +303,8 @@ def test_a_design_for_another_model_meets_no_plant(design, tmp_path):
     with pytest.raises(UserError, match=f"{message}; controller.other_model"):
         build_system(Scenario(), tmp_path)
     assert build_system(Scenario().changed({"controller.other_model": True}), tmp_path).components
-    two = inverse_design(np.eye(2, k=1), np.array([0.0, 1.0]), np.array([-1.0, -2.0]), Options(alpha=0.1))
+    pair = System(A=np.eye(2, k=1), B=np.array([[0.0], [1.0]]), K=np.array([[-1.0, -2.0]]))
+    two = inverse_design(pair, Options(alpha=0.1))
     with pytest.raises(UserError, match="takes designs of order 4, found order 2"):
         export_units(two, output=tmp_path)
 
