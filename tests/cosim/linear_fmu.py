@@ -5,6 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import fmpy
@@ -128,10 +129,10 @@ def linear_fmu(
     path: Path,
     inputs: Names,
     outputs: Names,
-    A: object = (),
-    B: object = (),
-    C_: object = (),
-    D: object = (),
+    A: Any = (),
+    B: Any = (),
+    C_: Any = (),
+    D: Any = (),
     x0: Sequence[float] = (),
     start: Mapping[str, float] | None = None,
     *,
