@@ -17,7 +17,7 @@ EXPORTED long whole_steps(int law, const double *theta, const double *delta, lon
     const ihc_params *p = PARAMETERS[law];
     ihc_prepared prepared;
     ihc_state state;
-    ihc_inputs u = {theta[0], delta[0], 0.0, 0.0};
+    ihc_inputs u = {theta[0], delta[0], 0.0, 0.0, 0.0};
     long stabilizing = 0;
     if (ihc_prepare(p, &prepared) != IHC_OK) {
         return -1;

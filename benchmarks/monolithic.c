@@ -29,7 +29,7 @@ __attribute__((visibility("default"))) long run(long steps, double step, row *ro
     qube_get_outputs(&PLANT, &plant, &rows[0].plant);
     y.theta = rows[0].plant.theta_encoder;
     y.delta = rows[0].plant.delta_encoder;
-    y.theta_dot = y.delta_dot = 0.0;
+    y.theta_dot = y.delta_dot = y.theta_setpoint = 0.0;
     ihc_initialize(&CONTROLLER, &prepared, &controller, 0.0, &y);
     ihc_get_outputs(&controller, &rows[0].controller);
     for (long k = 0; k < steps; k++) {

@@ -108,12 +108,18 @@ DEMANDING = {
 
 
 def inputs_at(name, k):
-    """Inputs of step k: random for the plant; from hanging to upright for the controller, with noise."""
+    """Inputs of step k: random for the plant; from hanging to upright for the controller, with noise and set-points."""
     rng = random.Random(k)
     if name == PLANT:
         return {"voltage": rng.uniform(-12, 12), "disturbance_voltage": rng.uniform(-1, 1), "pendulum_torque": 1e-4}
     delta = math.pi * max(0.0, 1 - k / 40) + 1e-3 * rng.random()
-    return {"theta": 0.1 * math.sin(0.1 * k), "delta": delta, "theta_dot": rng.random(), "delta_dot": rng.random()}
+    return {
+        "theta": 0.1 * math.sin(0.1 * k),
+        "delta": delta,
+        "theta_dot": rng.random(),
+        "delta_dot": rng.random(),
+        "theta_setpoint": 0.05 * (k // 7 % 3),
+    }
 
 
 def run(instance, name, first, last):

@@ -49,12 +49,12 @@ def test_closed_loop_equals_the_library_exactly(of_plant, of_controller, reached
     own_plant, own_controller = unit(PLANT, **of_plant), unit(CONTROLLER, **of_controller)
     measured = dict(zip(WIRES, plant.get(*WIRES.values()), strict=True))
     controller.initialize(**of_controller, **measured)
-    own_controller.initialize(0.0, tuple(measured.values()))
+    own_controller.initialize(0.0, (*measured.values(), 0.0))
     places = [plant.output_names.index(source) for source in WIRES.values()]
     modes = set()
     for k in range(500):
         t = k * STEP
-        own_controller.step(t, STEP, tuple(own_plant.outputs()[i] for i in places))
+        own_controller.step(t, STEP, (*[own_plant.outputs()[i] for i in places], 0.0))
         own_plant.step(t, STEP, (own_controller.outputs()[0], 0.0, 0.0))
         commanded = controller.step(t, STEP, **dict(zip(WIRES, plant.get(*WIRES.values()), strict=True)))
         assert commanded == own_controller.outputs()

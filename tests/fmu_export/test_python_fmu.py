@@ -44,7 +44,7 @@ def _louder(outputs):
 IhcControllerUnit.outputs = _louder(IhcControllerUnit.outputs)
 """
 
-MEASURED = {"theta": 0.2, "delta": 0.1, "theta_dot": 0.0, "delta_dot": 0.0}
+MEASURED = {"theta": 0.2, "delta": 0.1, "theta_dot": 0.0, "delta_dot": 0.0, "theta_setpoint": 0.1}
 
 
 def contents(path):
@@ -312,7 +312,7 @@ from plant_fmu.unit import QubePlant
 
 hosts = {key: Host(folder).initialize() for key, folder in data["folders"].items()}
 library = IhcControllerUnit(INTERFACE.start_values(data["start"]))
-library.initialize(0.0, (0.0, 0.0, 0.0, 0.0))
+library.initialize(0.0, (0.0, 0.0, 0.0, 0.0, 0.0))
 plant = QubePlant(PLANT.start_values())
 result = []
 for k in range(20):

@@ -144,16 +144,19 @@ def controller(start_values):
 
 @pytest.fixture(scope="session")
 def closed_loop():
-    """Run controller and plant at 1 ms; return their outputs by name, sampled before each step of the plant."""
+    """Run controller and plant at 1 ms; return their outputs by name, sampled before each step of the plant.
 
-    def run(unit, seconds, parameters="ident", changes=None, h=1e-3):
+    `set_point` gives the arm's at a time.
+    """
+
+    def run(unit, seconds, parameters="ident", changes=None, h=1e-3, set_point=lambda time: 0.0):
         plant_values = plant_interface.start_values(parameters) | (changes or {})
         plant = QubePlant(plant_interface.INTERFACE.start_values(plant_values))
         seen = plant.outputs()
-        unit.initialize(0.0, tuple(seen[i] for i in SEEN_BY_CONTROLLER))
+        unit.initialize(0.0, (*[seen[i] for i in SEEN_BY_CONTROLLER], set_point(0.0)))
         rows = []
         for k in range(round(seconds / h)):
-            unit.step(k * h, h, tuple([seen[i] for i in SEEN_BY_CONTROLLER]))
+            unit.step(k * h, h, (*[seen[i] for i in SEEN_BY_CONTROLLER], set_point(k * h)))
             commanded = unit.outputs()
             rows.append(seen + commanded)
             plant.step(k * h, h, (commanded[0], 0.0, 0.0))

@@ -12,7 +12,7 @@ from fmpy import extract
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.homogeneity import bisection_update
 from ihc_fmu.laws import block_state
-from ihc_fmu.pendulum.interface import INTERFACE, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.interface import INTERFACE, STATES, matrix, upper_triangle, vector
 from ihc_fmu.pendulum.native_unit import NATIVE
 from tests.fmu_export.conftest import Host
 
@@ -29,7 +29,7 @@ def states(seed, count):
     rng = random.Random(seed)
     for k in range(count):
         common = rng.uniform(-300, 300)
-        sizes = [common if k % 3 == 0 else rng.uniform(-300, 300) for _ in INPUTS]
+        sizes = [common if k % 3 == 0 else rng.uniform(-300, 300) for _ in STATES]
         entries = [rng.choice((-1.0, 1.0)) * 10.0 ** min(300.0, size + rng.random()) for size in sizes]
         yield tuple(0.0 if k % 3 == 2 and rng.random() < 0.4 else entry for entry in entries)
 
@@ -107,13 +107,14 @@ def test_norm_and_laws_are_right_for_states_of_every_size(mu, discretization, co
     """In Python to 1e-12 of 60 digits, N(r) being compared with 1 on both sides of r; in C to the last bit of Python."""
     changes = {**RUN, "mu": mu, "discretization": discretization}
     unit, native = controller(**changes), Host(folder).initialize(**changes)
-    unit.initialize(0.0, (0.0,) * 4)
+    unit.initialize(0.0, (0.0,) * len(INPUTS))
     h = H if discretization == 2 else None
     seed = int(100 * mu)
     for k, (theta, delta, *rest) in enumerate([*states(seed, 45), *axes(reference, seed, 15)]):
         x = (theta, math.remainder(delta, math.tau), *rest)
-        assert unit.step(k * H, H, x) == []
-        assert native.step(k * H, H, **dict(zip(INPUTS, x, strict=True))) == unit.outputs()
+        inputs = (*x, 0.0)
+        assert unit.step(k * H, H, inputs) == []
+        assert native.step(k * H, H, **dict(zip(INPUTS, inputs, strict=True))) == unit.outputs()
         found = dict(zip(OUTPUTS, unit.outputs(), strict=True))
         r, z = found["homogeneous_norm"], reference.chain(x)
         if any(x):

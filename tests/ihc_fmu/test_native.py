@@ -46,13 +46,17 @@ def smooth(start, end, count):
 
 
 def measured():
-    """From hanging to upright, a while there, a fall to 1.3 rad, back to upright; velocities belong to the angles."""
+    """From hanging to upright, a while there, a fall to 1.3 rad, back to upright; velocities belong to the angles.
+
+    The set-point changes all the while.
+    """
     delta = np.concatenate([smooth(math.pi, 0.02, 250), [0.02] * 100, smooth(0.02, 1.3, 150), smooth(1.3, -0.01, 250)])
     delta = np.concatenate([delta, [-0.01] * 150])
     t = np.arange(len(delta)) * STEP
     delta = delta + 2e-3 * np.sin(20 * t)
     theta = 0.1 * np.sin(3 * t) + 1e-4 * np.sin(700 * t)
-    rows = np.column_stack([theta, delta, np.gradient(theta, STEP), np.gradient(delta, STEP)])
+    velocities = np.gradient(theta, STEP), np.gradient(delta, STEP)
+    rows = np.column_stack([theta, delta, *velocities, 0.05 * np.sign(np.sin(40 * t))])
     return [tuple(map(float, row)) for row in rows]
 
 
@@ -191,7 +195,7 @@ def test_samples_count_from_the_same_start_time(start_time, pair):
 @pytest.mark.parametrize("wrap", [lambda a: math.remainder(a, math.tau), lambda a: a % math.tau], ids=["pi", "two pi"])
 @pytest.mark.parametrize("source", SOURCE)
 def test_wrapped_sensor_is_the_same_in_both_and_as_good_as_one_that_is_not(wrap, source, pair):
-    rows = [(0.1, 3.0 + 25.0 * math.sin(3 * k * STEP), 0.0, 75.0 * math.cos(3 * k * STEP)) for k in range(700)]
+    rows = [(0.1, 3.0 + 25.0 * math.sin(3 * k * STEP), 0.0, 75.0 * math.cos(3 * k * STEP), 0.0) for k in range(700)]
     wrapped = [(theta, wrap(delta), *rest) for theta, delta, *rest in rows]
     assert sum(abs(b[1] - a[1]) > math.pi for a, b in itertools.pairwise(wrapped)) > 3
     found = follow(pair(wrapped[0], velocity_source=source), wrapped)
@@ -206,7 +210,8 @@ def test_idle_controllers_are_the_same(pair):
 
 
 def test_tiny_and_zero_states_are_the_same(pair):
-    rows = [(s, -s, s, s) for s in (0.0, 5e-324, 1e-320, 1e-200, 1e-160, 1e-12, 1e-3, 0.0)]
+    sizes = (0.0, 5e-324, 1e-320, 1e-200, 1e-160, 1e-12, 1e-3, 0.0)
+    rows = [(s, -s, s, s, point) for s in sizes for point in (0.0, -0.0, 0.5 * s, -s)]
     for law, solver, discretization in itertools.product(LAW.values(), SOLVER, DISCRETIZATION):
         changes = {"law": law, "norm_solver": solver, "discretization": discretization, "velocity_source": INPUT}
         follow(pair(rows[0], a_min=1e-6, **changes), rows)
@@ -296,16 +301,17 @@ def test_non_finite_input_faults_both_until_reset(bad, value, pair):
 
 
 def test_first_measurement_that_is_not_finite_faults_both_at_the_first_sample(pair):
-    native, _ = both = pair((math.nan, 0.0, 0.0, 0.0))
+    native, _ = both = pair((math.nan, 0.0, 0.0, 0.0, 0.0))
     assert native.get("voltage", "homogeneous_norm", "mode") == (0.0, 0.0, Mode.IDLE)
-    assert follow(both, [(math.nan, 0.0, 0.0, 0.0)])["fault"] == Fault.NON_FINITE_INPUT
+    assert follow(both, [(math.nan, 0.0, 0.0, 0.0, 0.0)])["fault"] == Fault.NON_FINITE_INPUT
 
 
 def test_all_inputs_that_are_not_finite_are_named(pair):
     native, python = pair()
-    (message,) = python.step(0.0, STEP, (math.nan, math.inf, 0.0, 0.0))
-    native.step(0.0, STEP, theta=math.nan, delta=math.inf)
-    assert message == "fault non_finite_input: theta = nan, delta = inf; the voltage is 0 V until reset"
+    (message,) = python.step(0.0, STEP, (math.nan, math.inf, 0.0, 0.0, -math.inf))
+    native.step(0.0, STEP, theta=math.nan, delta=math.inf, theta_setpoint=-math.inf)
+    words = "theta = nan, delta = inf, theta_setpoint = -inf"
+    assert message == f"fault non_finite_input: {words}; the voltage is 0 V until reset"
     assert native.log[-1][2] == f"t = 0 s: {message}"
 
 
@@ -322,7 +328,7 @@ def follow_a_spike(pair, where, name, value, **changes):
 
 @pytest.mark.parametrize("source", SOURCE)
 @pytest.mark.parametrize("law", LAW)
-@pytest.mark.parametrize("name", ["theta", "theta_dot", "delta_dot"])
+@pytest.mark.parametrize("name", ["theta", "theta_dot", "delta_dot", "theta_setpoint"])
 def test_enormous_measurement_faults_both_or_neither(name, law, source, pair):
     changes = {"law": LAW[law], "velocity_source": source}
     for where, value in itertools.product((HANGING, UPRIGHT), (1e308, -1e200, 1e155, -1e30)):
@@ -361,6 +367,7 @@ def test_any_admissible_numbers_are_answered_alike(exported, start_values):
         changes.pop("sample_time", None)
         where = rng.choice((HANGING, UPRIGHT))
         rows = MEASURED[where : where + 8]
+        rows = [(*row[:4], rng.choice((0.0, -0.0, 0.3, -1e-310, 1e150))) for row in rows]
         if rng.random() < 0.5:
             rows[4] = tuple(value * rng.choice((0.0, 1.0, 1e-310, 1e-200, 1e150, 1e300)) for value in rows[4])
         ends.append(compare(exported[1], INTERFACE, IhcControllerUnit, start_values, changes, rows, EXACT))
@@ -438,17 +445,22 @@ def test_step_that_does_not_fit_the_sample_time_is_refused_by_both_with_the_same
 def test_closed_loop_of_the_native_fmus_equals_that_of_the_python_units(
     of_plant, of_controller, ends, exported, instance, controller
 ):
+    """The arm's set-point changes while the pendulum swings up and while it is balanced."""
+
+    def set_point(k):
+        return 0.1 * (k // 90 % 3 - 1)
+
     plant, native = instance(exported[0]), instance()
     own_plant, python = QubePlant(PLANT.interface.start_values(of_plant)), controller(**of_controller)
     plant.initialize(**of_plant)
     places = [plant.output_names.index(n) for n in ("theta_encoder", "delta_encoder", "theta_dot", "delta_dot")]
     seen, own_seen = plant.outputs(), own_plant.outputs()
-    native.initialize(**of_controller, **by_name([seen[i] for i in places]))
-    python.initialize(0.0, tuple(own_seen[i] for i in places))
+    native.initialize(**of_controller, **by_name([*[seen[i] for i in places], set_point(0)]))
+    python.initialize(0.0, (*[own_seen[i] for i in places], set_point(0)))
     modes = []
     for k in range(2000 if "delta_0" not in of_plant else 500):
-        commanded = native.step(k * STEP, STEP, **by_name([seen[i] for i in places]))
-        python.step(k * STEP, STEP, tuple(own_seen[i] for i in places))
+        commanded = native.step(k * STEP, STEP, **by_name([*[seen[i] for i in places], set_point(k)]))
+        python.step(k * STEP, STEP, (*[own_seen[i] for i in places], set_point(k)))
         agree(commanded, python.outputs())
         seen = plant.step(k * STEP, STEP, voltage=commanded[0])
         own_plant.step(k * STEP, STEP, (python.outputs()[0], 0.0, 0.0))

@@ -208,6 +208,14 @@ static void first_estimate(const ihc_params *p, const ihc_inputs *u, double x[N]
     x[3] = measured ? u->delta_dot : 0.0;
 }
 
+/* The arm's angle less its set-point; x itself to the last bit where that is 0. */
+static void make_deviation(const ihc_inputs *u, double x[N])
+{
+    if (u->theta_setpoint != 0.0) {
+        x[0] -= u->theta_setpoint;
+    }
+}
+
 static void prime(const ihc_params *p, ihc_state *s, const ihc_inputs *u, double x[N])
 {
     first_estimate(p, u, x);
@@ -322,7 +330,7 @@ static ihc_status fail(ihc_state *s, int32_t fault)
 static int32_t bad_inputs(const ihc_inputs *u)
 {
     return (isfinite(u->theta) ? 0 : 1) | (isfinite(u->delta) ? 0 : 2) | (isfinite(u->theta_dot) ? 0 : 4)
-        | (isfinite(u->delta_dot) ? 0 : 8);
+        | (isfinite(u->delta_dot) ? 0 : 8) | (isfinite(u->theta_setpoint) ? 0 : 16);
 }
 
 static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const ihc_inputs *u)
@@ -338,12 +346,13 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
         return IHC_OK;
     }
     const ihc_inputs measured = {flushed(u->theta, LEAST), flushed(u->delta, LEAST), flushed(u->theta_dot, LEAST),
-                                 flushed(u->delta_dot, LEAST)};
+                                 flushed(u->delta_dot, LEAST), flushed(u->theta_setpoint, LEAST)};
     if (s->primed) {
         estimate(p, q, s, &measured, x);
     } else {
         prime(p, s, &measured, x);
     }
+    make_deviation(&measured, x);
     if (!isfinite(x[0] + x[1] + x[2] + x[3])) {
         return fail(s, IHC_FAULT_NON_FINITE_CONTROL);
     }
@@ -359,6 +368,7 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
             x[1] = wrap(measured.delta);
             x[2] = s->theta_dot;
             x[3] = s->delta_dot;
+            make_deviation(&measured, x);
         }
         make_block_state(&q->design, x, &chain);
         s->norm = homogeneous_norm(&q->design, &chain.polynomial, s->norm);
@@ -395,6 +405,7 @@ void ihc_initialize(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
         double x[N];
         block_state chain;
         first_estimate(p, u, x);
+        make_deviation(u, x);
         make_block_state(&q->design, x, &chain);
         s->norm = homogeneous_norm(&q->design, &chain.polynomial, 1.0);
     }

@@ -1,7 +1,7 @@
 /* Swing-up and stabilization of a rotary pendulum: the C twin of ihc_fmu (LC, first-order SMC, implicit homogeneous
  * control of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems").
  *
- * x = (theta, delta, theta', delta'), delta = 0 upright, z = Phi x, w_i = 1 + mu (n - i), s = r^-mu:
+ * x = (theta - theta_setpoint, delta, theta', delta'), delta = 0 upright, z = Phi x, w_i = 1 + mu (n - i), s = r^-mu:
  *
  *     LC     u = k_lin x
  *     SMC    u = smc_k x - smc_rho sign(smc_c x)
@@ -79,6 +79,7 @@ typedef struct {
 typedef struct {
     double theta, delta;         /* measured angles [rad] */
     double theta_dot, delta_dot; /* [rad/s], used with velocity_source inputs */
+    double theta_setpoint;       /* where the arm is to be held [rad] */
 } ihc_inputs;
 
 typedef struct {

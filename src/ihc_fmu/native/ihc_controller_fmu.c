@@ -42,14 +42,15 @@ static int state_is_valid(const void *state)
 
 static void explain_fault(const char *const *names, const ihc_state *s, const ihc_inputs *u, char *text, size_t size)
 {
-    const char *const measured[] = {names[VR_theta], names[VR_delta], names[VR_theta_dot], names[VR_delta_dot]};
-    const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot};
+    const char *const inputs[] = {names[VR_theta], names[VR_delta], names[VR_theta_dot], names[VR_delta_dot],
+                                  names[VR_theta_setpoint]};
+    const double values[] = {u->theta, u->delta, u->theta_dot, u->delta_dot, u->theta_setpoint};
     char cause[256] = "the command is not finite";
     int length = 0;
-    for (int i = 0; i < 4 && s->fault == IHC_FAULT_NON_FINITE_INPUT; i++) {
+    for (int i = 0; i < 5 && s->fault == IHC_FAULT_NON_FINITE_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
             const char *value = isnan(values[i]) ? "nan" : values[i] > 0.0 ? "inf" : "-inf"; /* on every platform */
-            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", measured[i], value);
+            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", inputs[i], value);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",

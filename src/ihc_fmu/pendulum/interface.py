@@ -104,7 +104,7 @@ _NOMINAL = (
 )
 """Name, unit, meaning, neutral start value, smallest value of the nominal model's numbers."""
 
-_NORMS = "canonical homogeneous norm of the estimated state"
+_NORMS = "canonical homogeneous norm of the estimated state, the arm's angle less its set-point"
 
 INTERFACE = Interface(
     name="IhcController",
@@ -118,7 +118,7 @@ INTERFACE = Interface(
         _output(
             "homogeneous_norm",
             _NORMS,
-            start=(*STATES, *matrix("Phi"), *upper_triangle("P"), "mu", "velocity_source"),
+            start=(*STATES, *matrix("Phi"), *upper_triangle("P"), "mu", "velocity_source", "theta_setpoint"),
         ),
         _output(
             "homogeneous_norm_used", "value of the norm in force in the law: within [a_min, b_max]; 1 where none is"
@@ -215,6 +215,10 @@ INTERFACE = Interface(
             "resolution of the encoders",
             min=1e-12,
             max=10.0,
+        ),
+        # last, so that a value reference of earlier versions means what it meant
+        _input(
+            "theta_setpoint", "rad", "where the arm is to be held: law, norm and swing-up act on theta - theta_setpoint"
         ),
     ),
     step_size=1e-3,

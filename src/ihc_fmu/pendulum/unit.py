@@ -33,6 +33,8 @@ from .supervisor import Capture, Mode, next_mode
 from .swing_up import saturate, swing_up, swing_up_voltage
 
 TURN = 2.0 * math.pi
+INPUTS = (*STATES, "theta_setpoint")
+"""The unit's inputs, in their order."""
 
 
 @dataclass(slots=True)
@@ -54,6 +56,15 @@ class ControllerState(SampledState):
     bias: float = 0.0  # Kalman filter's estimate of the bias of the measured delta [rad]
     theta_dot: float = 0.0  # velocity that the law uses [rad/s]
     delta_dot: float = 0.0
+
+
+def _deviation(x: list[float], inputs: tuple[float, ...]) -> list[float]:
+    """Return x with the arm's angle less its set-point; x itself to the last bit where that is 0.
+
+    Every angle of the arm is an equilibrium without a voltage, so nothing else depends on the set-point.
+    """
+    set_point = inputs[4]
+    return [x[0] - set_point, *x[1:]] if set_point else x
 
 
 class IhcControllerUnit(SampledUnit):
@@ -131,20 +142,21 @@ class IhcControllerUnit(SampledUnit):
         """Start the sample clock at `time` [s]; with finite inputs, compute the norm of the state that they mean."""
         self.state.start_time = time
         if all(map(math.isfinite, inputs)):
-            x = self._first_estimate(inputs)
+            x = _deviation(self._first_estimate(inputs), inputs)
             self.state.norm = homogeneity.homogeneous_norm(laws.block_state(self.design, x).polynomial, self.mu)
         return []
 
     def sample(self, inputs: tuple[float, ...]) -> list[str]:
         """Run one sample: estimate, decide the mode, command a voltage. Returns messages for the log."""
         state = self.state
-        bad = [f"{name} = {value}" for name, value in zip(STATES, inputs, strict=True) if not math.isfinite(value)]
+        bad = [f"{name} = {value}" for name, value in zip(INPUTS, inputs, strict=True) if not math.isfinite(value)]
         if bad:
             return self.fail(Fault.NON_FINITE_INPUT, ", ".join(bad))
         if state.mode == Mode.FAULT:
             return []
         inputs = tuple([flushed(value, LEAST) for value in inputs])
         x = self._estimate(inputs, self._unwrap(inputs[1])) if state.primed else self._prime(inputs)
+        x = _deviation(x, inputs)
         if not math.isfinite(x[0] + x[1] + x[2] + x[3]):
             return self.fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
         chain = laws.block_state(self.design, x)
@@ -161,7 +173,7 @@ class IhcControllerUnit(SampledUnit):
         )
         if state.mode == Mode.STABILIZING and earlier != Mode.STABILIZING:
             state.interval = (self.a_min, self.b_max)
-            x = self._use_filter(inputs, x)
+            x = self._at_capture(inputs, x)
             chain = laws.block_state(self.design, x)
             state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         state.theta_dot, state.delta_dot = x[2], x[3]
@@ -181,9 +193,8 @@ class IhcControllerUnit(SampledUnit):
 
     def _first_estimate(self, inputs: tuple[float, ...]) -> list[float]:
         """Return x from the first measurement: at rest, unless velocities are measured too."""
-        theta, delta, theta_dot, delta_dot = inputs
-        velocities = [theta_dot, delta_dot] if self.from_inputs else [0.0, 0.0]
-        return [theta, math.remainder(delta, TURN), *velocities]
+        velocities = [inputs[2], inputs[3]] if self.from_inputs else [0.0, 0.0]
+        return [inputs[0], math.remainder(inputs[1], TURN), *velocities]
 
     def _prime(self, inputs: tuple[float, ...]) -> list[float]:
         """Start the estimators from the first measurement, and return x."""
@@ -243,12 +254,12 @@ class IhcControllerUnit(SampledUnit):
             state.observed, state.disturbance, state.bias = observed, disturbance, bias
         return self._observed()
 
-    def _use_filter(self, inputs: tuple[float, ...], x: list[float]) -> list[float]:
-        """Return x for the stabilizing law at capture: measured angles and filtered velocities."""
+    def _at_capture(self, inputs: tuple[float, ...], x: list[float]) -> list[float]:
+        """Return the deviation x for the stabilizing law at capture: of a filter, measured angles and filtered velocities."""
         if self.velocity_source != "filter":
             return x
         delta = math.remainder(inputs[1], TURN)
-        return [inputs[0], delta, self.state.theta_dot, self.state.delta_dot]
+        return _deviation([inputs[0], delta, self.state.theta_dot, self.state.delta_dot], inputs)
 
     def _command(self, x: list[float], chain: laws.BlockState) -> float:
         state = self.state

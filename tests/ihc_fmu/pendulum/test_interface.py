@@ -13,7 +13,7 @@ from ihc_fmu.pendulum.unit import IhcControllerUnit
 
 
 def test_inputs_and_outputs_come_in_the_order_of_the_fmu():
-    assert [v.name for v in INTERFACE.of("input")] == ["theta", "delta", "theta_dot", "delta_dot"]
+    assert [v.name for v in INTERFACE.of("input")] == ["theta", "delta", "theta_dot", "delta_dot", "theta_setpoint"]
     outputs = [v.name for v in INTERFACE.of("output")]
     assert outputs[:4] == ["voltage", "homogeneous_norm", "homogeneous_norm_used", "mode"]
     assert outputs[4:6] == ["theta_dot_estimate", "delta_dot_estimate"]
@@ -122,8 +122,8 @@ class Recorder(dict):
 def test_unit_reads_every_parameter(start_values):
     values = Recorder(INTERFACE.start_values(start_values))
     unit = IhcControllerUnit(values)
-    unit.initialize(0.0, (0.0, 3.0, 0.0, 0.0))
-    unit.step(0.0, 1e-3, (0.0, 3.0, 0.0, 0.0))
+    unit.initialize(0.0, (0.0, 3.0, 0.0, 0.0, 0.0))
+    unit.step(0.0, 1e-3, (0.0, 3.0, 0.0, 0.0, 0.0))
     assert values.read == {v.name for v in INTERFACE.of("parameter")}
 
 

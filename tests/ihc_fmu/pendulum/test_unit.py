@@ -15,6 +15,7 @@ from ihc_fmu.sampled_unit import Fault
 from ihc_fmu.sliding_mode import fitted_smc
 from tests.ihc_fmu.conftest import chain_of
 
+INPUTS = [v.name for v in INTERFACE.of("input")]
 OUTPUTS = [v.name for v in INTERFACE.of("output")]
 STATE_INPUT = {"velocity_source": "inputs"}
 
@@ -23,17 +24,22 @@ def outputs(unit):
     return dict(zip(OUTPUTS, unit.outputs(), strict=True))
 
 
+def given(seen, set_point=0.0):
+    """Return the unit's inputs from (theta, delta, theta', delta')."""
+    return (*map(float, seen), set_point)
+
+
 def feed(unit, measurements, h=1e-3, start=0):
     """Step the unit through (theta, delta, theta', delta') and return its outputs, a row for each step."""
     rows = []
     for k, seen in enumerate(measurements, start):
-        unit.step(k * h, h, tuple(map(float, seen)))
+        unit.step(k * h, h, given(seen))
         rows.append(unit.outputs())
     return np.array(rows, float)
 
 
 def started(unit, seen):
-    unit.initialize(0.0, tuple(map(float, seen)))
+    unit.initialize(0.0, given(seen))
     return unit
 
 
@@ -91,7 +97,7 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
     ]
     for changes, command, used in cases:
         unit = controller(**STATE_INPUT, a_min=0.1, b_max=2.0, voltage_limit=1e3, capture_level=1e3, **changes)
-        started(unit, x).step(0.0, 1e-3, tuple(x))
+        started(unit, x).step(0.0, 1e-3, given(x))
         found = outputs(unit)
         assert found["mode"] == Mode.STABILIZING
         assert found["voltage"] == pytest.approx(command, rel=1e-9)
@@ -138,9 +144,9 @@ def test_samples_count_from_the_start_time(controller):
     measurements = swinging(duration=0.2)
     early = feed(started(controller(), measurements[0]), measurements)
     unit, start, rows = controller(), 12345.678, []
-    unit.initialize(start, tuple(measurements[0]))
+    unit.initialize(start, given(measurements[0]))
     for k, seen in enumerate(measurements):
-        unit.step(start + k * 1e-3, 1e-3, tuple(seen))
+        unit.step(start + k * 1e-3, 1e-3, given(seen))
         rows.append(unit.outputs())
     np.testing.assert_array_equal(rows, early)
 
@@ -151,7 +157,7 @@ def test_a_longer_step_runs_the_samples_that_fall_into_it_on_held_inputs_and_say
     held = feed(started(controller(), measurements[0]), np.repeat(measurements, ratio, axis=0))
     unit, said = started(controller(), measurements[0]), []
     for k, seen in enumerate(measurements):
-        said += unit.step(k * ratio * 1e-3, ratio * 1e-3, tuple(seen))
+        said += unit.step(k * ratio * 1e-3, ratio * 1e-3, given(seen))
         np.testing.assert_array_equal(unit.outputs(), held[(k + 1) * ratio - 1])
     (message,) = said
     assert f"a communication step of {ratio * 1e-3:g} s holds the inputs over several samples" in message
@@ -161,7 +167,7 @@ def test_steps_long_and_short_leave_out_no_sample_and_repeat_none(controller):
     unit, rng, time = started(controller(sample_time=1e-3), (0, 3, 0, 0)), random.Random(4), 0.0
     for _ in range(300):
         step = rng.choice([2.5e-4, 5e-4, 1e-3, 3e-3])
-        unit.step(time, step, (0.0, 3.0, 0.0, 0.0))
+        unit.step(time, step, (0.0, 3.0, 0.0, 0.0, 0.0))
         time += step
         assert abs(unit.state.next_sample - time / 1e-3) <= 1.0
 
@@ -302,16 +308,59 @@ def test_law_sees_the_manufacturers_filter(controller):
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+# The arm's set-point
+
+
+@pytest.mark.parametrize("law", ["LC", "SMC", "IHC"])
+def test_only_the_deviation_from_the_set_point_counts(controller, law):
+    """In numbers whose difference is exact, swing-up and capture included, to the last bit."""
+    seen = swinging(duration=1.0)
+    seen[:, 0] = np.round(seen[:, 0] * 1024) / 1024
+    plain, moved = (controller(**STATE_INPUT, law=law, capture_level=1e3, capture_velocity=20.0) for _ in range(2))
+    started(plain, seen[0])
+    moved.initialize(0.0, (seen[0, 0] - 0.75, *seen[0, 1:], -0.75))
+    assert moved.outputs() == plain.outputs()
+    expected = feed(plain, seen)
+    for k, (theta, *rest) in enumerate(seen.tolist()):
+        moved.step(k * 1e-3, 1e-3, (theta - 0.75, *rest, -0.75))
+        assert moved.outputs() == tuple(expected[k])
+    assert {Mode.SWING_UP, Mode.STABILIZING} <= set(expected[:, OUTPUTS.index("mode")])
+
+
+@pytest.mark.parametrize("source", ["filter", "inputs", "kalman"])
+def test_set_point_of_zero_of_either_sign_or_next_to_it_is_none(controller, source):
+    seen = swinging(duration=0.5)
+    seen[::3, 0] = -0.0
+    runs = []
+    for set_point in (0.0, -0.0, 1e-310):
+        unit = controller(velocity_source=source)
+        unit.initialize(0.0, given(seen[0], set_point))
+        for k, row in enumerate(seen):
+            unit.step(k * 1e-3, 1e-3, given(row, set_point))
+        runs.append(json.dumps([unit.get_state(), unit.outputs()]))
+    assert len(set(runs)) == 1
+
+
+@pytest.mark.parametrize("changes", [{"law": "LC"}, {"law": "SMC"}, {}, {"velocity_source": "kalman"}], ids=str)
+def test_step_of_the_set_point_is_reached_by_balancing_and_after_a_swing_up(controller, closed_loop, changes):
+    """From rest upright with a step after 1 s; from hanging with a set-point from the beginning on."""
+    balanced = closed_loop(controller(**changes), 6.0, changes={"delta_0": 0.0}, set_point=lambda t: 0.3 * (t >= 1.0))
+    assert (balanced["mode"] == Mode.STABILIZING).all()
+    assert abs(np.mean(balanced["theta"][500:1000])) < 0.02
+    swung = closed_loop(controller(**changes), 6.0, set_point=lambda t: -0.3)
+    assert (swung["mode"][-2000:] == Mode.STABILIZING).all()
+    for run, wanted in ((balanced, 0.3), (swung, -0.3)):
+        assert abs(np.mean(run["theta"][-1000:]) - wanted) < 0.02
+
+
 # Faults
 
 
-@pytest.mark.parametrize("name", ["theta", "delta", "theta_dot", "delta_dot"])
+@pytest.mark.parametrize("name", INPUTS)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_non_finite_input_is_a_latched_fault_at_zero_volts(controller, name, value):
     good = (0.1, 0.1, 0.2, 0.3)
-    bad = tuple(
-        value if n == name else x for n, x in zip(("theta", "delta", "theta_dot", "delta_dot"), good, strict=True)
-    )
+    bad = tuple(value if n == name else x for n, x in zip(INPUTS, given(good), strict=True))
     unit = started(controller(), good)
     assert feed(unit, [good] * 3)[-1, 0] != 0.0
     (message,) = unit.step(3e-3, 1e-3, bad)
@@ -320,13 +369,13 @@ def test_non_finite_input_is_a_latched_fault_at_zero_volts(controller, name, val
         found = outputs(unit)
         assert (found["voltage"], found["mode"], found["fault"]) == (0.0, Mode.FAULT, Fault.NON_FINITE_INPUT)
         assert found["homogeneous_norm_used"] == 1.0
-        assert unit.step(k * 1e-3, 1e-3, bad if k == 6 else good) == []
+        assert unit.step(k * 1e-3, 1e-3, bad if k == 6 else given(good)) == []
 
 
 def test_bad_input_between_samples_is_no_fault(controller):
     unit = started(controller(), (0, 0.1, 0, 0))
-    unit.step(0.0, 5e-4, (0.0, 0.1, 0.0, 0.0))
-    unit.step(5e-4, 5e-4, (math.nan, 0.1, 0.0, 0.0))
+    unit.step(0.0, 5e-4, (0.0, 0.1, 0.0, 0.0, 0.0))
+    unit.step(5e-4, 5e-4, (math.nan, 0.1, 0.0, 0.0, 0.0))
     assert outputs(unit)["fault"] == Fault.NONE
 
 
@@ -334,15 +383,15 @@ def test_bad_input_at_initialization_waits_for_the_first_sample(controller):
     """Estimators start from the first finite measurement, wherever it is."""
     unit, seen = started(controller(), (math.nan,) * 4), (0.3, 0.2, 0.0, 0.0)
     assert outputs(unit)["fault"] == Fault.NONE
-    assert unit.step(0.0, 1e-3, seen) == []
+    assert unit.step(0.0, 1e-3, given(seen)) == []
     assert abs(outputs(unit)["theta_dot_estimate"]) < 1.0
 
 
 def test_command_that_overflows_is_a_fault_of_the_control(controller):
     """Finite numbers whose product is none: 1e304 V/rad at 1e5 rad."""
     unit = started(controller(**STATE_INPUT, law="LC", k_lin_1=1e304), (0.0, 0.0, 0.0, 0.0))
-    assert unit.step(0.0, 1e-3, (0.0, 0.0, 0.0, 0.0)) == []
-    assert unit.step(1e-3, 1e-3, (1e5, 0.0, 0.0, 0.0)) == [
+    assert unit.step(0.0, 1e-3, given((0.0, 0.0, 0.0, 0.0))) == []
+    assert unit.step(1e-3, 1e-3, given((1e5, 0.0, 0.0, 0.0))) == [
         "fault non_finite_control: the command is not finite; the voltage is 0 V until reset"
     ]
     found = outputs(unit)
@@ -377,7 +426,7 @@ def test_saved_state_is_not_changed_by_the_run_and_can_be_restored_twice(control
 
 def test_fault_survives_the_saved_state(controller):
     unit = started(controller(), (0, 0.1, 0, 0))
-    unit.step(0.0, 1e-3, (math.nan, 0.0, 0.0, 0.0))
+    unit.step(0.0, 1e-3, given((math.nan, 0.0, 0.0, 0.0)))
     copy = controller()
     copy.set_state(json.loads(json.dumps(unit.get_state())))
     assert feed(copy, [(0, 0.1, 0, 0)], start=1)[-1].tolist() == [0.0, *unit.outputs()[1:]]

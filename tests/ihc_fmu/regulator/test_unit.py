@@ -136,7 +136,7 @@ def test_with_the_pendulums_design_it_commands_what_the_pendulums_controller_doe
         ours = unit_of(regulator, **choice)
         for k, x in enumerate(states.tolist()):
             x[1] = math.remainder(x[1], math.tau)
-            pendulum.step(k * H, H, tuple(x))
+            pendulum.step(k * H, H, (*x, 0.0))
             ours.step(k * H, H, row(x))
             theirs = pendulum.outputs()
             assert ours.outputs()[0] == theirs[0]
