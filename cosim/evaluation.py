@@ -179,14 +179,24 @@ _ANGLES = {"theta": "arm θ", "delta": "pendulum δ"}
 _MODES = ((1, "idle"), (2, SWING_UP), (3, ACTING), (4, "fault"))
 
 
-def pendulum_evaluation(known: Container[str]) -> Evaluation:
-    """Return the pendulum's evaluation: of the true angles where both are `known`, of the measured ones otherwise."""
+ARM_SET_POINT = f"theta{SET_POINT}"
+"""The input of the pendulum's controller that says where its arm is to be held."""
+
+
+def pendulum_evaluation(known: Container[str], arm: str | float = 0.0) -> Evaluation:
+    """Return the pendulum's evaluation: of the true angles where both are `known`, of the measured ones otherwise.
+
+    `arm` is the set-point of the arm's angle: the name of a signal, or a number [rad].
+    """
     missing = {suffix: sum(f"plant.{angle}{suffix}" not in known for angle in _ANGLES) for suffix in ("_encoder", "")}
     suffix = "" if missing[""] == 0 else min(missing, key=lambda s: missing[s])
+    points: dict[str, Any] = {"theta": {"set_point": arm} if isinstance(arm, str) else {"constant": arm}}
     return Evaluation(
         kind="pendulum",
         errors=tuple(
-            ErrorSignal(signal=f"plant.{angle}{suffix}", unit="rad", label=label, wraps=angle == "delta")
+            ErrorSignal(
+                signal=f"plant.{angle}{suffix}", unit="rad", label=label, wraps=angle == "delta", **points.get(angle, {})
+            )
             for angle, label in _ANGLES.items()
         ),
         controls=(ControlSignal(signal="controller.voltage", unit="V", label="voltage V"),),

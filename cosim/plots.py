@@ -74,7 +74,7 @@ def law_of(result: Result) -> str:
     law = _start_of(result.metadata.get("scenario"), "start").get("law")
     if not isinstance(law, str):
         law = _start_of(result.metadata, "start_values").get("law")
-    if isinstance(law, int | float) and "evaluation" not in result.metadata and 1 <= law <= len(LAWS):
+    if isinstance(law, int | float) and evaluation_in(result).kind == "pendulum" and 1 <= law <= len(LAWS):
         return LAWS[int(law) - 1]
     return law if isinstance(law, str) else ""
 

@@ -29,11 +29,18 @@ class PlantUsed(_Part):
     parameters: StrictStr | None = None
 
 
+class SignalUsed(_Part):
+    """A signal of the scenario: the input that it acted on."""
+
+    input: StrictStr
+
+
 class ScenarioUsed(_Part):
     """The scenario of the run."""
 
     name: StrictStr = "a run"
     plant: PlantUsed = PlantUsed()
+    signals: list[SignalUsed] = []
 
 
 class Provenance(_Part):

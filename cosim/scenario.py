@@ -22,7 +22,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files, pendulum, ssp, wiring
 from .errors import UserError
-from .evaluation import EvaluateSection, Evaluation, evaluation_of
+from .evaluation import ARM_SET_POINT, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
 from .master import Component, Engine, Order, Signal, System, Wire, step_count
 from .names import PlainName
@@ -426,10 +426,24 @@ class _Plan:
         section = self.scenario.evaluate
         usual = set(self.wires()) in (set(wires) for wires in WIRES.values())
         if self.swings and self.balances and usual and section == EvaluateSection():  # type: ignore[call-arg]
-            return None
+            arm = self._arm_set_point()
+            return None if arm == 0.0 else pendulum_evaluation(self._recorded(), arm)
         angles = [f"{PLANT}.{name}" for name in pendulum.ANGLES] if self.swings else []
         start = {name: {**own, **self.scenario.parts[name].start} for name, own in self.own.items()}
         return evaluation_of(section, self.variables, start, self.wires(), self.signals(), angles)
+
+    def _arm_set_point(self) -> str | float:
+        """Return where the pendulum's arm is to be held: the name of the input where that has a signal, or a number [rad]."""
+        name = f"{CONTROLLER}.{ARM_SET_POINT}"
+        if any(signal.target == name for signal in self.signals()):
+            return name
+        return float({**self.own[CONTROLLER], **self.scenario.controller.start}.get(ARM_SET_POINT, 0.0))
+
+    def _recorded(self) -> Sequence[str]:
+        """Return the plant's outputs that are recorded."""
+        if self.scenario.record.outputs is not None:
+            return self.scenario.record.outputs
+        return [f"{PLANT}.{name}" for name in wiring.outputs(self.variables[PLANT])]
 
 
 OFFSETS = ("_encoder_offset", "_resolution_offset")

@@ -8,7 +8,7 @@ import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -200,7 +200,7 @@ def _run(
         component,
         settings,
         path,
-        {"scenario": scenario.model_dump(mode="json")},
+        {"scenario": scenario.model_dump(mode="json"), **_judged(component)},
         say=lambda text: problems.print(f"[dim]{escaped(text)}[/]"),
     )
     live = None
@@ -277,6 +277,16 @@ def _elsewhere(result: Result) -> str:
     scale = (result.time[-1] - result.time[0]) / REFERENCE_TIME
     default, real_time = (REFERENCE_MISSES[rate, wanted] * scale for wanted in (False, True))
     return f" (a bare loop on another machine: {default:.0f}, with real-time scheduling {real_time:.0f})"
+
+
+def _judged(component: Component) -> dict[str, Any]:
+    """Return the log's word on what it is judged by, where the controller is to hold the arm at another angle than 0."""
+    from ..evaluation import ARM_SET_POINT, pendulum_evaluation
+    from ..fmu import start_values_of
+    from .replay import MEASURED
+
+    arm = float({**start_values_of(Path(component.path)), **component.start}.get(ARM_SET_POINT, 0.0))
+    return {"evaluation": pendulum_evaluation(MEASURED, arm).model_dump(mode="json")} if arm else {}
 
 
 def _check_device(scenario: Scenario) -> None:

@@ -11,7 +11,7 @@ from ..errors import SimulationError, UserError
 from ..fmu import FmuError, describe
 from ..interrupts import second_ends
 from ..master import Component
-from ..provenance import provenance
+from ..provenance import Provenance, provenance
 from ..results import Result
 from .loop import Controller
 
@@ -81,7 +81,7 @@ def replay(result: Result, fmu: Path) -> Replay:
         raise UserError("the log does not say with which controller and start values it was made")
     if about.order != "controller-first" or about.every != 1:
         raise UserError("a replay needs every row of a run in the order controller-first")
-    if about.wires is not None and ("plant.theta_encoder", "controller.theta") not in about.wires:
+    if not _got_angles_only(about):
         raise UserError("a replay needs a run whose controller got the encoders' angles and nothing else")
     if len(result.time) < LEAST_ROWS:
         raise UserError(f"a replay needs at least {LEAST_ROWS} rows, the log has {len(result.time)}")
@@ -121,6 +121,14 @@ def replay(result: Result, fmu: Path) -> Replay:
         column = int(np.flatnonzero(~same[row])[0])
         first = Difference(float(result.time[row]), names[column], logged[column][row], float(replayed[row, column]))
     return Replay(sum(map(bool, steps)), int(differing.size), first, is_own(result, fmu))
+
+
+def _got_angles_only(about: Provenance) -> bool:
+    """Return whether the controller's inputs were the encoders' angles; all others kept their start values."""
+    angles = dict(zip(("controller.theta", "controller.delta"), MEASURED, strict=True))
+    wires = about.wires if about.wires is not None else [(source, target) for target, source in angles.items()]
+    fed = {target: source for source, target in wires if target.startswith("controller.")}
+    return fed == angles and not any(s.input.startswith("controller.") for s in about.scenario.signals)
 
 
 def _bits(values: np.ndarray) -> np.ndarray:

@@ -10,9 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import UserError
+from cosim.evaluation import evaluation_in
+from cosim.experiments import check_outputs
 from cosim.export import export_units
 from cosim.fmu import start_values_of
 from cosim.inputs import DisturbanceSection, Sine
+from cosim.metrics import evaluate, kept_upright
+from cosim.plots import law_of
 from cosim.scenario import (
     WIRES,
     Scenario,
@@ -33,7 +37,7 @@ from plant_fmu.parameters import PARAMETER_SETS, QubeParameters
 
 PARAMETER_NUMBERS = {f.name for f in fields(QubeParameters)}
 
-BUILT_IN = ["device", "disturbed", "paper", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
+BUILT_IN = ["device", "disturbed", "paper", "square_wave", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
 
 FULL = """
 description = "all of it"
@@ -464,6 +468,42 @@ def test_the_disturbance_acts_on_the_plants_input(fmus):
     turned = run_scenario(Scenario().changed({**changes, "disturbance.input": "pendulum_torque"}), fmus)
     assert turned["plant.delta"][-1] != math.pi
     assert build_system(Scenario().changed({**changes, "disturbance.gain": 0.0}), fmus).signals == []
+
+
+# The arm's set-point
+
+
+@pytest.mark.parametrize("law", ["LC", "IHC"])
+def test_the_arm_follows_a_square_wave_and_is_judged_against_it(fmus, law):
+    scenario, folder = load_scenario("square_wave")
+    result = run_scenario(scenario.changed({"controller.start.law": law, "run.duration": 9.0}), fmus, folder)
+    point, theta, t = result["controller.theta_setpoint"], result["plant.theta"], result.time
+    assert set(point[t < 1.0]) == {0.0}
+    assert (set(point[(t > 1.0) & (t <= 5.0)]), set(point[t > 5.0])) == ({0.3}, {-0.3})
+    for end, wanted in ((5.0, 0.3), (9.0, -0.3)):
+        assert abs(np.mean(theta[(t > end - 1.0) & (t <= end)]) - wanted) < 0.05
+    q = np.hypot(theta - point, result["plant.delta"])
+    assert evaluate(result).values["integral_q2"] == pytest.approx(np.trapezoid(q**2, t), rel=1e-12)
+    assert kept_upright(result)
+    assert law_of(result) == law
+
+
+def test_an_arm_held_at_a_start_value_is_judged_against_that(fmus):
+    held = {"controller.start.theta_setpoint": 0.2, "plant.start.delta_0": 0.0, "plant.start.theta_0": 0.2}
+    for outputs, arm in ((None, "plant.theta"), (["plant.theta_encoder", "plant.delta_encoder"], "plant.theta_encoder")):
+        more = () if outputs is None else ("controller.voltage", "controller.mode")
+        record = {"record.outputs": None if outputs is None else [*outputs, *more]}
+        result = run_scenario(Scenario().changed({**held, **record, "run.duration": 1.0, "run.seed": 1}), fmus)
+        error = evaluation_in(result).errors[0]
+        assert (error.signal, error.constant) == (arm, 0.2)
+        assert evaluate(result).values["settling_time"] == 0.0
+
+
+def test_a_set_point_that_is_not_recorded_is_missed_by_the_metrics(fmus):
+    scenario, folder = load_scenario("square_wave")
+    record = ["plant.theta", "plant.delta", "controller.voltage", "controller.mode"]
+    with pytest.raises(UserError, match=r"the metrics need controller\.theta_setpoint"):
+        check_outputs(scenario.changed({"record.outputs": record}), fmus, folder)
 
 
 def test_the_file_is_named_with_a_duration_that_does_not_fit(written):

@@ -255,7 +255,7 @@ class IhcControllerUnit(SampledUnit):
         return self._observed()
 
     def _at_capture(self, inputs: tuple[float, ...], x: list[float]) -> list[float]:
-        """Return the deviation x for the stabilizing law at capture: of a filter, measured angles and filtered velocities."""
+        """Return the deviation for the stabilizing law at capture: with the filter, measured angles, filtered velocities."""
         if self.velocity_source != "filter":
             return x
         delta = math.remainder(inputs[1], TURN)

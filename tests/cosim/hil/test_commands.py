@@ -396,6 +396,17 @@ def test_replay_is_exact(tmp_path, fmus, run):
     assert done.stdout.startswith("exact: 3000 samples replayed")
 
 
+def test_arm_held_elsewhere_is_judged_there_and_replayed(tmp_path, fmus, hil):
+    done = hil("--lockstep", "--duration", "7", "--set", "controller.start.theta_setpoint=0.25")
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / "out" / "run.csv"
+    arm = about(path)["evaluation"]["errors"][0]
+    assert (arm["signal"], arm["constant"]) == ("plant.theta_encoder", 0.25)
+    assert abs(np.mean(Result.load(path)["plant.theta_encoder"][-1000:]) - 0.25) < 0.05
+    done = ended("replay", path, "--fmus", fmus, cwd=tmp_path)
+    assert done.stdout.startswith("exact: 7000 samples replayed")
+
+
 def test_replay_finds_one_digit(tmp_path, fmus, run):
     result, changed, row = Result.load(run), tmp_path / "changed.csv", 700
     voltage = result["controller.voltage"]

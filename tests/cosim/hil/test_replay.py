@@ -72,6 +72,14 @@ def test_a_simulations_result_from_its_file_is_replayed_exactly(fmus, fmu, tmp_p
     assert found.same_fmu
 
 
+def test_a_run_with_a_signal_on_the_controller_is_no_log_of_angles_alone(fmus, fmu):
+    scenario, folder = scenario_of(0.1)
+    square = {"kind": "square", "input": "controller.theta_setpoint", "amplitude": 0.1, "period": 0.02}
+    result = run_scenario(scenario.changed({"signals": [square]}), fmus, folder)
+    with pytest.raises(UserError, match="the encoders' angles and nothing else"):
+        replay(result, fmu)
+
+
 @pytest.mark.parametrize("row", [1, 500, 1000])
 def test_a_changed_voltage_is_found_where_it_is(logs, fmu, row):
     log = logs()
