@@ -284,7 +284,7 @@ def export(
     of_pendulum = found.system.name == PENDULUM
     if not of_pendulum:
         given = {"--parameters": parameters, "--nominal": nominal, "--smc": smc, "--other-model": other_model or None}
-        _refuse_pendulums({**given, "--kind": None if kind is Kind.native else kind}, found.system.name)
+        _refuse_pendulums(given, found.system.name)
     check_replaceable(*(output / name for name in (EXPORTED if of_pendulum else exported_files(found.system))))
     with console.status("building") if names else nullcontext() as status:
         building = None if status is None else lambda what: status.update(f"building {what}")
@@ -303,7 +303,7 @@ def export(
                 other_model=other_model,
             )
         else:
-            paths = export_system(found, output, changes, names, building, shown)
+            paths = export_system(found, output, changes, kind, names, building, shown)
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 

@@ -195,7 +195,11 @@ def pendulum_evaluation(known: Container[str], arm: str | float = 0.0) -> Evalua
         kind="pendulum",
         errors=tuple(
             ErrorSignal(
-                signal=f"plant.{angle}{suffix}", unit="rad", label=label, wraps=angle == "delta", **points.get(angle, {})
+                signal=f"plant.{angle}{suffix}",
+                unit="rad",
+                label=label,
+                wraps=angle == "delta",
+                **points.get(angle, {}),
             )
             for angle, label in _ANGLES.items()
         ),

@@ -433,7 +433,7 @@ class _Plan:
         return evaluation_of(section, self.variables, start, self.wires(), self.signals(), angles)
 
     def _arm_set_point(self) -> str | float:
-        """Return where the pendulum's arm is to be held: the name of the input where that has a signal, or a number [rad]."""
+        """Return where the pendulum's arm is to be held: the input's name where that has a signal, or a number [rad]."""
         name = f"{CONTROLLER}.{ARM_SET_POINT}"
         if any(signal.target == name for signal in self.signals()):
             return name

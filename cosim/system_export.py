@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import UserError
-from .export import kept_outputs
+from .export import Kind, kept_outputs
 
 if TYPE_CHECKING:
+    from fmu_export.guarded_slave import GuardedSlave
+    from fmu_export.native_unit import NativeUnit
+    from fmu_export.variables import Interface
     from ihc_fmu.design import Design
     from ihc_fmu.system import System
 
@@ -26,10 +29,48 @@ def wires_of(system: System) -> list[tuple[str, str]]:
     return wires + [(f"controller.{q.name}", f"plant.{q.name}") for q in system.inputs]
 
 
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """An FMU to write: its unit in C and in Python, what it shows and hides of it, changes to start values."""
+
+    native: NativeUnit
+    slave: type[GuardedSlave]
+    interface: Interface
+    hidden: Mapping[str, Any]
+    changes: Mapping[str, Any]
+    notes: str
+
+    def write(
+        self,
+        path: Path,
+        outputs: Sequence[str] | None,
+        kind: Kind,
+        platforms: Sequence[str] | None,
+        building: Callable[[str], object] | None,
+    ) -> None:
+        """Write the FMU of this kind to `path`, whose stem is its identifier."""
+        from filing.origin import origin
+        from fmu_export.native_fmu import export_native_fmu
+        from fmu_export.python_fmu import export_python_fmu
+
+        shown: dict[str, Any] = {
+            "outputs": outputs,
+            "interface": self.interface,
+            "hidden": self.hidden,
+            "identifier": path.stem,
+            "origin": origin(),
+        }
+        if kind is Kind.native:
+            export_native_fmu(self.native, path, self.changes, self.notes, platforms, building, **shown)
+        else:
+            export_python_fmu(self.slave, path, self.changes, self.notes, **shown)
+
+
 def export_system(
     design: Design,
     output: Path = Path("fmus"),
     changes: Mapping[str, Mapping[str, Any]] | None = None,
+    kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
     building: Callable[[str], object] | None = None,
     outputs: Sequence[str] | None = None,
@@ -38,21 +79,22 @@ def export_system(
 
     Where the states are not measured the controller gets a Kalman filter for its sample time, which `changes` to the
     controller's start values may change too. The other arguments are those of `export_units`. Nothing is compiled for this
-    machine: one binary serves every design. The three files reach the folder together. Raises UserError for what cannot be
-    exported, BuildError for a missing binary or compiler.
+    machine: one binary, or with `kind` python one slave class, serves every design. The three files reach the folder
+    together. Raises UserError for what cannot be exported, BuildError for a missing binary or compiler.
     """
     import numpy as np
 
     from filing.files import staging
     from filing.origin import origin
-    from fmu_export.native_fmu import export_native_fmu
     from fmu_export.ssp import write_ssp
     from ihc_fmu.estimation import estimator
     from ihc_fmu.regulator.documentation import notes as controller_notes
     from ihc_fmu.regulator.native_unit import NATIVE as CONTROLLER
+    from ihc_fmu.regulator.slave import HomogeneousController
     from ihc_fmu.regulator.start_values import LinearFilter, design_regulator
     from plant_fmu.linear.documentation import notes as plant_notes
     from plant_fmu.linear.native_unit import NATIVE as PLANT
+    from plant_fmu.linear.slave import LinearPlant
     from plant_fmu.linear.start_values import linear_plant_values, shown_interface
 
     changes = {"plant": {}, "controller": {}, **(changes or {})}
@@ -69,32 +111,14 @@ def export_system(
     plant, wires = shown_interface(system), wires_of(system)
     kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires)
     names = exported_files(system)
+    about = plant_notes(system), controller_notes(design, source)
     plans = (
-        (PLANT, plant, linear_plant_values(system), changes["plant"], plant_notes(system), "linear_plant"),
-        (
-            CONTROLLER,
-            interface,
-            hidden,
-            changes["controller"],
-            controller_notes(design, source),
-            "controller",
-        ),
+        _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0]),
+        _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1]),
     )
     with staging(output) as place:
-        for (unit, shown, rest, start, notes, kind), stay, name in zip(plans, kept, names, strict=False):
-            export_native_fmu(
-                unit,
-                place / name,
-                start,
-                notes,
-                platforms,
-                building,
-                stay,
-                interface=shown,
-                hidden=rest,
-                identifier=f"{system.name}_{kind}",
-                origin=origin(),
-            )
+        for plan, stay, name in zip(plans, kept, names, strict=False):
+            plan.write(place / name, stay, kind, platforms, building)
         units = {"controller": place / names[1], "plant": place / names[0]}
         write_ssp(place / names[2], system.name, units, wires, origin())
     return [output / name for name in names]

@@ -16,7 +16,8 @@ import json
 import math
 import sys
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -24,6 +25,8 @@ from typing import Any, ClassVar, Protocol, TypeVar
 from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
+from .errors import UserError
+from .shown import Showing
 from .variables import Interface, Value, Variable
 
 STATE_FORMAT = 2
@@ -89,6 +92,26 @@ def code_digest(code: Mapping[str, bytes]) -> str:
     return digest.hexdigest()
 
 
+def manifest_of(showing: Showing, start: Mapping[str, Value], hidden: Mapping[str, Value | str]) -> dict[str, Any]:
+    """Return what a slave needs to know of its FMU's interface, as JSON types; `showing_in` reads it.
+
+    `start` by shown names, `hidden` by those of the slave's interface.
+    """
+    shown = showing.interface
+    return {
+        "name": shown.name,
+        "shown": {v.compiled: {"name": v.name, "unit": v.unit} for v in shown.variables},
+        "start_values": dict(start),
+        "hidden_values": dict(hidden),
+    }
+
+
+def showing_in(table: Interface, manifest: Mapping[str, Any]) -> Showing:
+    """Return what a manifest says that the FMU shows of the slave's interface `table`."""
+    variables = [table.by_name[slot].shown_as(v["name"], unit=v["unit"]) for slot, v in manifest["shown"].items()]
+    return Showing(table, table.showing(variables, name=manifest["name"], step_parameter=None))
+
+
 def _finalize_at_exit(library: Path) -> None:
     """Have the wrapper release its interpreter state before the process ends, where Python is the host.
 
@@ -103,6 +126,8 @@ def _finalize_at_exit(library: Path) -> None:
 class GuardedSlave(Fmi2Slave):
     """An FMI 2.0 co-simulation slave around a `Unit`, driven by its `Interface`.
 
+    The FMU shows all variables of `interface`, or some of them under other names, as its manifest says; the unit gets the
+    values of all and speaks of them, by the names in `interface`. Value references are positions in `interface`.
     `packages` names those that its code imports besides its own and fmu_export.
     """
 
@@ -115,26 +140,29 @@ class GuardedSlave(Fmi2Slave):
         resources = Path(str(self.resources))
         manifest = json.loads((resources / MANIFEST).read_text(encoding="utf-8"))
         sys.path[:] = [entry for entry in sys.path if entry != str(self.resources)]  # the wrapper adds it each time
-        _finalize_at_exit(resources.parent / "binaries" / "linux64" / f"{self.interface.name}.so")
+        _finalize_at_exit(resources.parent / "binaries" / "linux64" / f"{manifest['identifier']}.so")
         self._check_bundle(resources, manifest)
-        self._variables = self.interface.variables
-        self._values: list[Value] = [0.0 if v.start is None else v.start for v in self._variables]
-        start = self.interface.start_values(manifest["start_values"])
-        self._vr = {v.name: vr for vr, v in enumerate(self._variables)}
-        for name, value in start.items():
-            self._values[self._vr[name]] = value
-        self._types = {
-            kind: frozenset(vr for vr, v in enumerate(self._variables) if v.type in kinds)
-            for kind, kinds in (("Real", {"Real"}), ("Integer", {"Integer", "Enumeration"}), ("Boolean", {"Boolean"}))
-        }
-        self._inputs = [self._vr[v.name] for v in self.interface.of("input")]
-        self._outputs = [self._vr[v.name] for v in self.interface.calculated]
-        self._real_inputs = {vr: self._variables[vr] for vr in self._inputs if self._variables[vr].type == "Real"}
+        self._showing = showing_in(self.interface, manifest)
+        self._take_variables(manifest)
         self._phase = "instantiated"
         self._experiment_set = False
         self._time = 0.0
         self._stop: float | None = None
         self._unit: Unit | None = None
+
+    def _take_variables(self, manifest: Mapping[str, Any]) -> None:
+        """Take the values of the whole table, and who of it is shown, input or output, by value reference."""
+        table, shown = self.interface.variables, self._showing
+        start = shown.compiled_values(manifest["start_values"], manifest["hidden_values"])
+        self._values: list[Value] = [start.get(v.name, 0.0) for v in table]
+        self._variables = dict(zip(shown.references, shown.interface.variables, strict=True))
+        self._types = {
+            kind: frozenset(vr for vr, v in self._variables.items() if v.type in kinds)
+            for kind, kinds in (("Real", {"Real"}), ("Integer", {"Integer", "Enumeration"}), ("Boolean", {"Boolean"}))
+        }
+        self._inputs = [vr for vr, v in enumerate(table) if v.causality == "input"]
+        self._outputs = [vr for vr, v in enumerate(table) if v.calculated]
+        self._real_inputs = {vr: v for vr, v in self._variables.items() if v.causality == "input" and v.type == "Real"}
 
     # The call order of FMI 2.0.5, section 4.2.4
 
@@ -179,11 +207,11 @@ class GuardedSlave(Fmi2Slave):
         if self._stop is not None:
             self._check_stop(current_time + step_size, step_size)
         values = self._values
-        messages = self._unit.step(current_time, step_size, tuple([values[vr] for vr in self._inputs]))  # type: ignore[union-attr]
+        with self._in_shown_words():
+            messages = self._unit.step(current_time, step_size, tuple([values[vr] for vr in self._inputs]))  # type: ignore[union-attr]
         self._time = current_time + step_size
         self._read_outputs()
-        for message in messages:
-            self._say(f"t = {current_time:.9g} s: {message}", Fmi2Status.warning)
+        self._report(current_time, messages)
         return True
 
     @_guarded
@@ -212,7 +240,7 @@ class GuardedSlave(Fmi2Slave):
     @_guarded
     def get_string(self, vrs: list[int]) -> list[str]:
         """Refuse: no variable is a String."""
-        raise ValueError(f"{self.interface.name} has no String variables, asked for value references {vrs}")
+        raise ValueError(f"{self._showing.interface.name} has no String variables, asked for value references {vrs}")
 
     @_guarded
     def set_real(self, vrs: list[int], values: list[float]) -> None:
@@ -240,7 +268,7 @@ class GuardedSlave(Fmi2Slave):
     @_guarded
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         """Refuse: no variable is a String."""
-        raise ValueError(f"{self.interface.name} has no String variables, asked to set value references {vrs}")
+        raise ValueError(f"{self._showing.interface.name} has no String variables, asked to set value references {vrs}")
 
     # State
 
@@ -248,7 +276,7 @@ class GuardedSlave(Fmi2Slave):
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
             "format": STATE_FORMAT,
-            "unit_name": self.interface.name,
+            "unit_name": self._showing.interface.name,
             "phase": self._phase,
             "experiment_set": self._experiment_set,
             "time": self._time,
@@ -260,7 +288,7 @@ class GuardedSlave(Fmi2Slave):
     @_guarded
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         found = (state.get("format"), state.get("unit_name"), len(state.get("values", ())))
-        expected = (STATE_FORMAT, self.interface.name, len(self._values))
+        expected = (STATE_FORMAT, self._showing.interface.name, len(self._values))
         if found != expected:
             raise ValueError(f"the state must be of (format, unit, number of variables) {expected}, found {found}")
         self._phase = state["phase"]
@@ -270,7 +298,7 @@ class GuardedSlave(Fmi2Slave):
         self._values = list(state["values"])
         self._unit = None
         if state["unit"] is not None:
-            self._unit = self.unit_class(self._values_by_name())
+            self._unit = self._made_unit()
             self._unit.set_state(state["unit"])
 
     @staticmethod
@@ -308,15 +336,28 @@ class GuardedSlave(Fmi2Slave):
         if stop is not None and not end <= stop + 1e-6 * step + 1e-12 * abs(stop):
             raise ValueError(f"a step must not pass the stop time {stop!r} s, found one that ends at {end!r} s")
 
-    def _values_by_name(self) -> dict[str, Value]:
-        return {v.name: self._values[vr] for vr, v in enumerate(self._variables)}
+    @contextmanager
+    def _in_shown_words(self) -> Iterator[None]:
+        """Let what the unit refuses be said with the names that the FMU shows."""
+        try:
+            yield
+        except UserError as error:
+            raise UserError(self._showing.sentence(str(error))) from error
+
+    def _made_unit(self) -> Unit:
+        with self._in_shown_words():
+            return self.unit_class(dict(zip([v.name for v in self.interface.variables], self._values, strict=True)))
 
     def _initialize_unit(self) -> None:
-        self._unit = self.unit_class(self._values_by_name())
-        messages = self._unit.initialize(self._time, tuple([float(self._values[vr]) for vr in self._inputs]))
-        for message in messages:
-            self._say(f"t = {self._time:.9g} s: {message}", Fmi2Status.warning)
+        self._unit = self._made_unit()
+        with self._in_shown_words():
+            messages = self._unit.initialize(self._time, tuple([float(self._values[vr]) for vr in self._inputs]))
+        self._report(self._time, messages)
         self._read_outputs()
+
+    def _report(self, time: float, messages: Sequence[str]) -> None:
+        for message in messages:
+            self._say(f"t = {time:.9g} s: {self._showing.sentence(message)}", Fmi2Status.warning)
 
     def _read_outputs(self) -> None:
         for vr, value in zip(self._outputs, self._unit.outputs(), strict=True):  # type: ignore[union-attr]
@@ -334,7 +375,7 @@ class GuardedSlave(Fmi2Slave):
 
     def _prepare_outputs(self, vrs: Sequence[int]) -> None:
         """In initialization, outputs follow from the start values and inputs set so far."""
-        asked = [self._variables[vr].name for vr in vrs if vr in self._outputs]
+        asked = [self._variables[vr].name for vr in vrs if vr in self._variables and self._variables[vr].calculated]
         if asked and self._phase == "instantiated":
             raise ValueError(f"outputs are defined from initialization on, asked for {', '.join(asked)} before it")
         if asked:
@@ -352,7 +393,7 @@ class GuardedSlave(Fmi2Slave):
             retune = retune or variable.variability == "tunable"
         if retune and self._phase == "step" and self._unit is not None:
             state = self._unit.get_state()
-            self._unit = self.unit_class(self._values_by_name())
+            self._unit = self._made_unit()
             self._unit.set_state(state)
 
     def _check_settable(self, variable: Variable) -> None:
@@ -368,7 +409,8 @@ class GuardedSlave(Fmi2Slave):
         self.log(_as_format(message), status)
 
     def _record_failure(self, call: str, error: Exception) -> None:
-        inputs = ", ".join(f"{self._variables[vr].name} = {self._values[vr]!r}" for vr in self._inputs)
+        shown = ((vr, v) for vr, v in self._variables.items() if v.causality == "input")
+        inputs = ", ".join(f"{v.name} = {self._values[vr]!r}" for vr, v in shown)
         text = "".join(traceback.format_exception(error))
         self._say(f"{error}\n{call} at t = {self._time!r} s with {inputs}\n{text}", Fmi2Status.error)
         # The wrapper releases these now, and again when the instance is freed: one reference more than it owns.

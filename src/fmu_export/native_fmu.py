@@ -12,8 +12,7 @@ from pathlib import Path
 from .archive import content_guid, write_zip
 from .documentation import documents
 from .errors import UserError
-from .errors import shown as found
-from .model_description import Capabilities, model_description
+from .model_description import Capabilities, ModelExchange, model_description
 from .native_build import (
     BINARIES,
     PLATFORMS,
@@ -23,10 +22,10 @@ from .native_build import (
     host_platform,
     installed_library,
 )
-from .native_unit import ADAPTER, NativeUnit, is_c_identifier, start_value_file, start_value_source, unit_files
+from .native_unit import ADAPTER, NativeUnit, checked_identifier, start_value_file, start_value_source, unit_files
 from .origin import ANONYMOUS, Origin
 from .shown import Showing
-from .variables import LONGEST_NAME, Interface, Value
+from .variables import Interface, Value
 
 START_VALUES_SOURCE = "start_values.c"
 FMI_LICENSE = ADAPTER / "fmi2" / "LICENSE.txt"
@@ -62,9 +61,9 @@ def export_native_fmu(
     BuildError where there is no binary, ValueError for an interface that does not fit the unit's table.
     """
     showing = Showing(unit.interface, unit.interface if interface is None else interface)
-    identifier = _checked(unit.interface.name if identifier is None else identifier)
+    identifier = checked_identifier(unit.interface.name if identifier is None else identifier)
     start = showing.interface.start_values(changes)
-    values = _values(unit, showing, start, hidden or {})
+    values = showing.admitted(unit.twin, start, hidden or {})
     shown = showing.interface if outputs is None else showing.interface.exposing(outputs)
     sources = {name: file.read_bytes() for name, file in unit.sources.items()}
     sources |= {name: text.encode() for name, text in unit.headers(identifier).items()}
@@ -74,7 +73,7 @@ def export_native_fmu(
         generation_tool=origin.tool,
         origin=origin,
         sources=tuple(sorted([name for name in sources if name.endswith(".c")] + [START_VALUES_SOURCE])),
-        model_exchange=None if unit.model_exchange is None else showing.exchange(unit.model_exchange(values)),
+        model_exchange=None if unit.model_exchange is None else _shown_exchange(showing, unit.model_exchange(values)),
     )
     files = {f"sources/{name}": text for name, text in sources.items()}
     for platform in _platforms(platforms):
@@ -95,25 +94,25 @@ def export_native_fmu(
     return path
 
 
-def _checked(identifier: str) -> str:
-    if not is_c_identifier(identifier) or len(identifier) > LONGEST_NAME:
-        raise UserError(
-            f"an FMU's identifier must be letters, digits and underscores, without a digit at its beginning and at most "
-            f"{LONGEST_NAME} of them, found {found(identifier)}"
-        )
-    return identifier
+def _shown_exchange(showing: Showing, compiled: ModelExchange) -> ModelExchange:
+    """Return the structure for model exchange in shown names; raise ValueError where a state is not shown."""
+    names = showing.names
+    for name in (*compiled.states, *compiled.derivatives):
+        if name not in names:
+            raise ValueError(f"model exchange needs {name} of {showing.table.name} to be shown")
 
+    def shown(chosen: Iterable[str]) -> tuple[str, ...]:
+        return tuple(names[name] for name in chosen if name in names)
 
-def _values(
-    unit: NativeUnit, showing: Showing, start: Mapping[str, Value], hidden: Mapping[str, Value | str]
-) -> dict[str, Value]:
-    """Return the start values of all compiled variables, which the twin has admitted."""
-    values = showing.compiled_values(start, hidden)
-    try:
-        unit.twin(values)
-    except UserError as error:
-        raise UserError(showing.sentence(str(error))) from None
-    return values
+    def translated(dependencies: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+        return {names[name]: shown(known) for name, known in dependencies.items() if name in names}
+
+    return ModelExchange(
+        shown(compiled.states),
+        shown(compiled.derivatives),
+        translated(compiled.dependencies),
+        translated(compiled.initial_dependencies),
+    )
 
 
 def _platforms(names: Iterable[str] | None) -> list[Platform]:

@@ -14,8 +14,9 @@ from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
+from .errors import UserError, shown
 from .model_description import ModelExchange
-from .variables import Interface, Value, Variable
+from .variables import LONGEST_NAME, Interface, Value, Variable
 
 ADAPTER = Path(__file__).parent / "adapter"
 ADAPTER_SOURCES = ("fmi2_adapter.c", "fmu_instance.c")
@@ -110,6 +111,16 @@ def unit_files(unit: NativeUnit) -> dict[str, bytes]:
 def is_c_identifier(name: str) -> bool:
     """Return whether `name` can be the name of something in C; keywords count as such."""
     return re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", name) is not None
+
+
+def checked_identifier(name: str) -> str:
+    """Return `name`; raise UserError where it cannot be an FMU's modelIdentifier."""
+    if not is_c_identifier(name) or len(name) > LONGEST_NAME:
+        raise UserError(
+            f"an FMU's identifier must be letters, digits and underscores, without a digit at its beginning and at most "
+            f"{LONGEST_NAME} of them, found {shown(name)}"
+        )
+    return name
 
 
 def constants_header(unit: NativeUnit) -> str:

@@ -18,10 +18,12 @@ from pathlib import Path, PurePosixPath
 
 from .archive import content_guid, license_of, write_zip
 from .documentation import documents
-from .guarded_slave import MANIFEST, GuardedSlave, code_digest
+from .guarded_slave import MANIFEST, GuardedSlave, code_digest, manifest_of
 from .model_description import Capabilities, model_description
+from .native_unit import checked_identifier
 from .origin import ANONYMOUS, Origin
-from .variables import Value
+from .shown import Showing
+from .variables import Interface, Value
 
 SHARED = ("fmu_export", "pythonfmu")
 """Packages that every unit's code may import besides its own and those that its slave names."""
@@ -43,42 +45,50 @@ def export_python_fmu(
     notes: str = "",
     outputs: Collection[str] | None = None,
     *,
+    interface: Interface | None = None,
+    hidden: Mapping[str, Value | str] | None = None,
+    identifier: str | None = None,
     origin: Origin = ANONYMOUS,
 ) -> Path:
     """Write the FMU of `slave` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
-    `notes` is HTML for the FMU's documentation. `outputs` names those that are outputs, None: all; the others become local
-    variables. `origin` is who makes the FMU. The same arguments give the same bytes. The file is written beside and renamed,
-    so an interrupted export leaves an earlier file as it was. Raises UserError for start values that the interface does not
-    admit or that contradict each other.
+    `interface` is what the FMU shows of the slave's variables (`Variable.slot`), None: all of them as they are; `hidden` are
+    start values of others, by the slave's names. `identifier` is the modelIdentifier, None: the name of the slave's
+    interface. `notes` is HTML for the FMU's documentation. `outputs` names those that are outputs, None: all; the others
+    become local variables. `origin` is who makes the FMU. The same arguments give the same bytes. The file is written beside
+    and renamed, so an interrupted export leaves an earlier file as it was. Raises UserError for start values that the
+    interface does not admit or that contradict each other and for an identifier that is none in C, ValueError for an
+    interface that does not fit the slave's.
     """
-    interface = slave.interface
-    start = interface.start_values(changes)
-    slave.unit_class(start)  # refuses start values that contradict each other
-    shown = interface if outputs is None else interface.exposing(outputs)
-    files = _resources(slave, start)
+    showing = Showing(slave.interface, slave.interface if interface is None else interface)
+    identifier = checked_identifier(slave.interface.name if identifier is None else identifier)
+    start = showing.interface.start_values(changes)
+    showing.admitted(slave.unit_class, start, hidden or {})
+    shown = showing.interface if outputs is None else showing.interface.exposing(outputs)
+    files = _resources(slave, identifier, manifest_of(showing, start, hidden or {}))
     version = importlib.metadata.version("pythonfmu")
     capabilities = Capabilities(
-        identifier=interface.name,
+        identifier=identifier,
         needs_execution_tool=True,
         generation_tool=f"{origin.tool} with PythonFMU {version}",
         origin=origin,
     )
-    files |= _binaries(interface.name)
+    files |= _binaries(identifier)
     files |= documents(shown, start, notes, origin, {"PythonFMU.txt": ("PythonFMU", license_of("pythonfmu"))})
-    guid = content_guid(files, model_description(shown, start, "", capabilities))
-    files["modelDescription.xml"] = model_description(shown, start, guid, capabilities)
+    references = showing.references
+    guid = content_guid(files, model_description(shown, start, "", capabilities, references))
+    files["modelDescription.xml"] = model_description(shown, start, guid, capabilities, references)
     write_zip(path, files, origin.software)
     return path
 
 
-def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[str, bytes]:
-    """Return the bundled package, the script that the wrapper loads, and the manifest."""
+def _resources(slave: type[GuardedSlave], identifier: str, values: Mapping[str, object]) -> dict[str, bytes]:
+    """Return the bundled package, the script that the wrapper loads, and the manifest with `values`."""
     code = {name.replace(".", "/") + ".py": text for name, text in _modules(slave.__module__, slave.packages).items()}
     folders = {str(parent) for name in code for parent in PurePosixPath(name).parents} - {"."}
     code |= {f"{folder}/__init__.py": b"" for folder in folders} | {"__init__.py": b""}
     digest = code_digest(code)
-    script = f"{slave.interface.name}_{digest[:12]}"
+    script = f"{identifier}_{digest[:12]}"
     package = f"{script}_code"
     files = {f"resources/{package}/{name}": text for name, text in code.items()}
     files[f"resources/{script}.py"] = SCRIPT.format(
@@ -89,7 +99,8 @@ def _resources(slave: type[GuardedSlave], start: Mapping[str, Value]) -> dict[st
         "script": script,
         "package": package,
         "code_digest": digest,
-        "start_values": dict(start),
+        "identifier": identifier,
+        **values,
     }
     files[f"resources/{MANIFEST}"] = json.dumps(manifest, indent=1).encode()
     return files

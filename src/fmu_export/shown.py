@@ -1,18 +1,19 @@
 """What an FMU shows of a unit's compiled variables: some of them, in any order, under other names and with other units.
 
-One binary then serves every design. What is not shown still has its value: its start value in the compiled table, or
-another one that the export gives.
+One binary, or one slave class, then serves every design. What is not shown still has its value: its start value in the
+compiled table, or another one that the export gives.
+
+Standard library only: this module travels inside the Python FMUs.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
 from .errors import UserError
-from .model_description import ModelExchange
 from .variables import Interface, Value, Variable
 
 
@@ -68,24 +69,19 @@ class Showing:
         slots = {v.name: v.compiled for v in self.interface.variables}
         return self.table.start_values({**hidden, **{slots[name]: value for name, value in start.items()}})
 
-    def exchange(self, compiled: ModelExchange) -> ModelExchange:
-        """Return the structure for model exchange in shown names; raise ValueError where a state is not shown."""
-        for name in (*compiled.states, *compiled.derivatives):
-            if name not in self.names:
-                raise ValueError(f"model exchange needs {name} of {self.table.name} to be shown")
-
-        def shown(names: Iterable[str]) -> tuple[str, ...]:
-            return tuple(self.names[name] for name in names if name in self.names)
-
-        def translated(dependencies: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
-            return {self.names[name]: shown(known) for name, known in dependencies.items() if name in self.names}
-
-        return ModelExchange(
-            shown(compiled.states),
-            shown(compiled.derivatives),
-            translated(compiled.dependencies),
-            translated(compiled.initial_dependencies),
-        )
+    def admitted(
+        self,
+        twin: Callable[[Mapping[str, Value]], object],
+        start: Mapping[str, Value],
+        hidden: Mapping[str, Value | str],
+    ) -> dict[str, Value]:
+        """Return `compiled_values`; raise UserError, in shown names, also for those that the unit `twin` refuses."""
+        values = self.compiled_values(start, hidden)
+        try:
+            twin(values)
+        except UserError as error:
+            raise UserError(self.sentence(str(error))) from None
+        return values
 
     def sentence(self, text: str) -> str:
         """Return a message of the unit, which speaks of compiled variables, with the shown names."""

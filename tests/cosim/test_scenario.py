@@ -490,7 +490,10 @@ def test_the_arm_follows_a_square_wave_and_is_judged_against_it(fmus, law):
 
 def test_an_arm_held_at_a_start_value_is_judged_against_that(fmus):
     held = {"controller.start.theta_setpoint": 0.2, "plant.start.delta_0": 0.0, "plant.start.theta_0": 0.2}
-    for outputs, arm in ((None, "plant.theta"), (["plant.theta_encoder", "plant.delta_encoder"], "plant.theta_encoder")):
+    for outputs, arm in (
+        (None, "plant.theta"),
+        (["plant.theta_encoder", "plant.delta_encoder"], "plant.theta_encoder"),
+    ):
         more = () if outputs is None else ("controller.voltage", "controller.mode")
         record = {"record.outputs": None if outputs is None else [*outputs, *more]}
         result = run_scenario(Scenario().changed({**held, **record, "run.duration": 1.0, "run.seed": 1}), fmus)
