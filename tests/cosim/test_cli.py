@@ -10,11 +10,13 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cosim.fmu import describe
 from cosim.metrics import QUANTITIES, evaluate
 from cosim.results import Result
+from cosim.scenario import Scenario, run_scenario
 from ihc_fmu.design import Design
 from ihc_fmu.sliding_mode import linear_pole_smc
 from tests.cosim.command import ended, files, finished, sentence, started
@@ -226,6 +228,14 @@ def test_ten_integrators_are_designed_and_exported(tmp_path):
     assert re.search(r"chosen: alpha = 0\.01\d* 1/s: half of the largest", said)
     accepted("export", "--design", "ten.json", cwd=tmp_path)
     assert files(tmp_path / "fmus") == ["ten.ssp", "ten_controller.fmu", "ten_linear_plant.fmu"]
+    accepted("export", "--design", "ten.json", "--kind", "python", "-o", "python", cwd=tmp_path)
+    assert files(tmp_path / "python") == files(tmp_path / "fmus")
+    start = {"plant.fmu": "ten_linear_plant.fmu", "plant.start.x1_0": 1e-3, "controller.fmu": "ten_controller.fmu"}
+    short = Scenario().changed({**start, "run.duration": 0.05})
+    native, python = (run_scenario(short, tmp_path / folder).signals for folder in ("fmus", "python"))
+    assert native.keys() == python.keys()
+    assert all(np.array_equal(native[name], python[name]) for name in native)
+    assert native["plant.x10"][-1] != 0.0
     said = refused("export", "--design", "ten.json", "--nominal", "hcs", cwd=tmp_path)
     assert said.startswith("--nominal is for the rotary pendulum's units, found with a design of the system ten")
 

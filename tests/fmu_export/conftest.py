@@ -180,7 +180,7 @@ class Native:
         self.component = self.library.fmi2Instantiate(*self.arguments)
 
     def _take_message(self, _environment, _instance, status, category, message) -> None:
-        self.log.append((status, category.decode(), message.decode() % ()))  # a format, as C hosts take it
+        self.log.append((status, (category or b"").decode(), message.decode() % ()))  # a format, as C hosts take it
 
     def free(self) -> None:
         """Free the instance, once."""

@@ -5,6 +5,7 @@ import math
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -117,12 +118,21 @@ def warned(fmu):
     return [entry for entry in fmu.log if entry[0] == 1]
 
 
+def described_by(path) -> Any:
+    return read_model_description(str(path))
+
+
+def complaint(fmu):
+    """Return the first error in the log; PythonFMU's wrapper adds one of its own."""
+    return next(message for status, _, message in fmu.log if status == 3)
+
+
 # The file
 
 
 @pytest.mark.parametrize("which", DESIGNS)
 def test_both_kinds_are_valid_and_describe_the_same(which, files):
-    native, python = (read_model_description(str(files[which, kind])) for kind in KINDS)
+    native, python = (described_by(files[which, kind]) for kind in KINDS)
     assert validate_fmu(str(files[which, "python"])) == []
     assert (python.modelName, python.coSimulation.modelIdentifier) == (native.modelName, which)
     about = [
@@ -165,15 +175,15 @@ def test_both_kinds_can_be_tuned_and_go_on_with_the_same_values(which, instance)
     bounds = {"_lower": -0.01, "_upper": 0.02}
     tuned = {name: bounds[name[-6:]] for name in native.variables if name.endswith(tuple(bounds))} | {"law": 1}
     for fmu in both:
-        fmu.initialize()
+        fmu.initialize(a_min=0.5, b_max=0.5)
     for k, row in enumerate(rows_of(native, 30, seed=1)):
         if k == 10:
-            before = native.outputs()
+            assert native.get("homogeneous_norm_used") == (0.5,)
             for fmu in both:
                 fmu.set(**tuned)
             agree(native.outputs(), python.outputs())
         agree(native.step(k * H, H, **row), python.step(k * H, H, **row))
-    assert native.outputs() != before
+    assert native.get("homogeneous_norm_used") == (1.0,)  # of the linear law
 
 
 def test_saved_state_continues_in_another_instance(instance):
@@ -244,14 +254,14 @@ def test_contradictions_are_told_in_the_same_words(which, wrong, words, instance
         fmu.setup()
         fmu.done("EnterInitializationMode")
         assert fmu.call("ExitInitializationMode") >= 3
-        assert fmu.log[-1][2].startswith(words)
+        assert complaint(fmu).startswith(words)
 
 
 def test_inputs_that_a_plant_refuses_are_told_in_its_names(instance):
     fmu = instance("crane_linear_plant", "python").initialize(force_upper=1.7e308)
     fmu.set(force=1.7e308, force_disturbance=1.7e308)
     assert fmu.call("DoStep", 0.0, H, 0) >= 3
-    message = fmu.log[-1][2]
+    message = complaint(fmu)
     assert message.startswith("inputs must be finite, found force, force_disturbance = (")
     assert "with force = 1.7e+308, force_disturbance = 1.7e+308\n" in message
 
@@ -263,8 +273,9 @@ def test_variables_that_are_not_shown_do_not_exist(kind, instance):
     references = (ctypes.c_uint * 1)(hidden)
     value = (ctypes.c_double * 1)(1.0)
     for function in ("SetReal", "GetReal"):
+        fmu.log.clear()
         assert fmu.call(function, references, 1, value) >= 3
-        assert f"no Real variable has the value reference {hidden}" in fmu.log[-1][2]
+        assert f"no Real variable has the value reference {hidden}" in complaint(fmu)
 
 
 @pytest.mark.parametrize(
