@@ -60,12 +60,12 @@ def regulator_of(design: Design) -> Regulator:
 
     Raises UserError where there is no estimator, and as `design_regulator`.
     """
-    if design.system.measures_state:
-        return design_regulator(design)
+    return design_regulator(design, None if design.system.measures_state else _kalman(design))
+
+
+def _kalman(design: Design) -> LinearFilter:
     found = estimator(design)
-    return design_regulator(
-        design, LinearFilter(F=found.F, G=found.G, C=np.asarray(design.system.C), M=found.M, decay=found.decay)
-    )
+    return LinearFilter(F=found.F, G=found.G, C=np.asarray(design.system.C), M=found.M, decay=found.decay)
 
 
 class Controller:

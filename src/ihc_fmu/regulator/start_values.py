@@ -64,7 +64,7 @@ class Regulator:
     blocks; B (n, m) = T times the model's B; K_0 (m, n); K (m, n) the linear gain u = K x; P (n, n) of the unit ball
     x' P x <= 1; mu in [0, 1]. `sample_time` [s]. `lower`, `upper` (m,): limits of the inputs, infinite for none. x_eq (n,),
     u_eq (m,), y_eq (p,): equilibrium of the model, 0 by default. `filter` estimates the state, None: it is measured. N_x
-    (n, p), N_u (m, p): states and inputs at rest per set-point. K_i (m, n): integral action, v' = r^(1-2 mu) K_i d(-ln r) x.
+    (n, p), N_u (m, p): states and inputs at rest per set-point. K_i (m, n): integral action as in `ihc_fmu.integral`.
 
     Raises UserError for an array of another shape or with an entry that is not finite.
     """
@@ -159,10 +159,8 @@ class Regulator:
         return replace(interface, variables=tuple(shown)), values
 
 
-def design_regulator(
-    design: Design, estimator: LinearFilter | Observer | None = None, K_i: Array | None = None
-) -> Regulator:
-    """Return what the controller FMU of a design needs; `estimator` and the integral gain K_i as in `Regulator`.
+def design_regulator(design: Design, estimator: LinearFilter | Observer | None = None) -> Regulator:
+    """Return what the controller FMU of a design needs; `estimator` as the filter of `Regulator`.
 
     The set-points of its system become matrices by `set_point_matrices`. Raises UserError where the states are not measured
     and there is no estimator, for set-points that cannot be held, and as `Regulator`.
@@ -200,7 +198,7 @@ def design_regulator(
         filter=estimator,
         N_x=N_x,
         N_u=N_u,
-        K_i=_DEFAULT if K_i is None else K_i,
+        K_i=_DEFAULT if design.integral is None else design.integral.K_i,
     )
 
 
