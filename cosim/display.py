@@ -289,6 +289,8 @@ def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
     table.add_row("states", escaped(", ".join(map(str, system.states))))
     table.add_row("K, u = K x", rows(found.K))
     table.add_row("K - K_0", rows(found.K_h))
+    if found.integral is not None:
+        table.add_row("K_i of the integral action", rows(found.integral.K_i))
     table.add_row("P", rows(found.P))
     table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
     table.add_row("origin reached from the unit sphere within", f"{1.0 / (found.mu * found.alpha):.4g} s")

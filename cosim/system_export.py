@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import UserError
 from .export import Kind, kept_outputs
 
 if TYPE_CHECKING:
@@ -82,36 +81,27 @@ def export_system(
     machine: one binary, or with `kind` python one slave class, serves every design. The three files reach the folder
     together. Raises UserError for what cannot be exported, BuildError for a missing binary or compiler.
     """
-    import numpy as np
-
     from filing.files import staging
     from filing.origin import origin
     from fmu_export.ssp import write_ssp
-    from ihc_fmu.estimation import estimator
+    from ihc_fmu.controller import regulator_of, resampled
     from ihc_fmu.regulator.documentation import notes as controller_notes
     from ihc_fmu.regulator.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.regulator.slave import HomogeneousController
-    from ihc_fmu.regulator.start_values import LinearFilter, design_regulator
     from plant_fmu.linear.documentation import notes as plant_notes
     from plant_fmu.linear.native_unit import NATIVE as PLANT
     from plant_fmu.linear.slave import LinearPlant
     from plant_fmu.linear.start_values import linear_plant_values, shown_interface
 
     changes = {"plant": {}, "controller": {}, **(changes or {})}
-    time = changes["controller"].get("sample_time")
-    if time is not None:
-        design = replace(design, system=design.system.changed(sample_time=_sample_time(time)))
+    design = resampled(design, changes["controller"].get("sample_time"))
+    regulator = regulator_of(design)
+    interface, hidden = regulator.exported()
     system = design.system
-    found = None
-    if not system.measures_state:
-        k = estimator(design)
-        found = LinearFilter(F=k.F, G=k.G, C=np.asarray(system.C), M=k.M, decay=k.decay)
-    interface, hidden = design_regulator(design, found).exported()
-    source = "measured_state" if found is None else "kalman"
     plant, wires = shown_interface(system), wires_of(system)
     kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires)
     names = exported_files(system)
-    about = plant_notes(system), controller_notes(design, source)
+    about = plant_notes(system), controller_notes(design, regulator.estimator)
     plans = (
         _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0]),
         _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1]),
@@ -122,9 +112,3 @@ def export_system(
         units = {"controller": place / names[1], "plant": place / names[0]}
         write_ssp(place / names[2], system.name, units, wires, origin())
     return [output / name for name in names]
-
-
-def _sample_time(value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise UserError(f"controller.sample_time must be a number, found {value}")
-    return float(value)

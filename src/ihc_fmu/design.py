@@ -17,6 +17,7 @@ from fmu_export.reading import parse_json, read_text
 
 from .block_form import BlockForm, block_form
 from .certificate import Certificate, CertificateError, certify
+from .integral import IntegralAction, integral_action
 from .system import LARGEST, System, from_dict
 
 Array = np.ndarray
@@ -50,6 +51,7 @@ class Design:
     method: str = "given"
     form: BlockForm = field(init=False)
     certificate: Certificate = field(init=False)
+    integral: IntegralAction | None = field(init=False)
 
     @QUIET
     def __post_init__(self) -> None:
@@ -67,6 +69,7 @@ class Design:
         form = block_form(self.A, self.B, [q.name for q in self.system.states])
         object.__setattr__(self, "form", _near_one(form, P))
         object.__setattr__(self, "certificate", certify(self))
+        object.__setattr__(self, "integral", integral_action(self))
 
     @property
     def n(self) -> int:
@@ -148,6 +151,8 @@ class Design:
             "u_max": self.u_max.tolist(),
             "certificate": self.certificate.as_dict(),
         }
+        if self.integral is not None:
+            derived |= {"K_i": self.integral.K_i.tolist(), "Gamma": self.integral.Gamma.tolist()}
         data = {"format": FORMAT, "system": self.system.as_dict(), "P": self.P.tolist(), **given, "derived": derived}
         return json.dumps(data, indent=1) + "\n"
 

@@ -242,6 +242,25 @@ def inverse_power(r: float, mu: float) -> float:
     return 1.0 / r if mu == 1.0 else r**-mu
 
 
+def radial_quotient(polynomial: NormPolynomial, mu: float, r: float) -> float:
+    """Return y' P y / (y' P G_d y), y = d(-ln r) x, of the state with this polynomial; 1 where r is far from its norm.
+
+    It is sum c_m s^m / sum (1 + mu m/2) c_m s^m, s = r^-mu: 1 at mu = 0, and for r = ||x||_d what a change of x along the
+    normal of the unit ball does to ln r.
+    """
+    c, exponent = polynomial
+    if exponent != 0:
+        if abs(frexp(r)[1] - exponent) > FAR:
+            return 1.0
+        r = ldexp(r, -exponent)
+    s = inverse_power(r, mu)
+    total = weighted = 0.0
+    for m in range(len(c) - 1, -1, -1):
+        total = total * s + c[m]
+        weighted = weighted * s + (1.0 + 0.5 * mu * m) * c[m]
+    return total / weighted if 0.0 < weighted < inf else 1.0
+
+
 def squared_norm(polynomial: NormPolynomial, mu: float, r: float) -> float:
     """Return N^2(r) = ||d(-ln r) x||_P^2 for the polynomial of x; 0 or infinity far from the norm of a scaled state."""
     c, exponent = polynomial

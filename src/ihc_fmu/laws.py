@@ -22,6 +22,7 @@ from .homogeneity import (
     inverse_power,
     norm_polynomial,
     product,
+    radial_quotient,
     refined,
     shift_of,
     solve,
@@ -191,12 +192,15 @@ def controls(design: BlockDesign, state: BlockState, r: float, h: float | None) 
     return u if state.shift == 0 else [unshifted(entry, state.shift) for entry in u]
 
 
-def integrand(design: BlockDesign, Kiz: Matrix, r: float, state: BlockState) -> list[float]:
-    """Return v' = r^(1-2 mu) K_i d(-ln r) x of the integral action with Kiz = K_i T^-1 (m, n), for the norm r in the law.
+def integrand(design: BlockDesign, Kiz: Matrix, r: float, state: BlockState, free: bool) -> list[float]:
+    """Return v' = q r^(1-2 mu) K_i d(-ln r) x of the integral action with Kiz = K_i T^-1 (m, n), for the norm r in the law.
 
-    In block coordinates: v'_i = s sum over j of Kiz_ij s^(e_j + 1) z_j, s = r^-mu.
+    q = y' P y / (y' P G_d y), y = d(-ln r) x, where r is the norm of x (`free`); q = 1 where r is a limit in its place or
+    the law is linear. In block coordinates: v'_i = q s sum over j of Kiz_ij s^(e_j + 1) z_j, s = r^-mu.
     """
     s = inverse_power(r, design.mu)
+    if free:
+        s *= radial_quotient(state.polynomial, design.mu, r)
     rates = [s * dot(g_i, state.z) for g_i in gains(Kiz, design.exponents, design.mu, r)]
     return rates if state.shift == 0 else [unshifted(rate, state.shift) for rate in rates]
 

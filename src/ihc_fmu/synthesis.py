@@ -18,6 +18,7 @@ from fmu_export.errors import UserError
 from .block_form import BlockForm, block_form
 from .certificate import CertificateError
 from .design import QUIET, Design, check_scalars
+from .integral import LARGEST_MU, check_degree
 from .lmi import InfeasibleError, Limit, Problem, decay, is_refuted, search, solve
 from .system import System
 
@@ -396,17 +397,20 @@ def chosen_options(
 ) -> Choice:
     """Return options for an inverse design: what is not given is chosen from the system.
 
-    mu is 1, or the first of MUS at which a solution is found; alpha [1/s] half of the largest one at that mu; u_max half of
-    the room that the limits leave around the equilibrium, without limits 1 for each input. `rest` are other options. Raises
-    as `largest_alpha`.
+    mu is 1, with integral action 1/2, or the first of MUS below at which a solution is found; alpha [1/s] half of the
+    largest one at that mu; u_max half of the room that the limits leave around the equilibrium, without limits 1 for each
+    input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
     """
     reasons = []
+    most = 1.0 if system.integral is None else LARGEST_MU
+    if mu is not None and system.integral is not None:
+        check_degree(mu)
     if alpha is None or mu is None:
-        found, largest = _first_mu(system, MUS if mu is None else (mu,), alpha, say)
+        mus = tuple(m for m in MUS if m <= most) if mu is None else (mu,)
+        found, largest = _first_mu(system, mus, alpha, say)
         if mu is None:
-            reasons.append(
-                f"mu = {found:g}: " + ("rejects disturbances" if found == 1.0 else "the largest of those tried")
-            )
+            why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
+            reasons.append(f"mu = {found:g}: {'the largest for integral action' if found == most < 1.0 else why}")
         if alpha is None:
             alpha = SHARE_OF_ALPHA * largest
             reasons.append(f"alpha = {alpha:.4g} 1/s: half of the largest one for which a solution is found")

@@ -32,6 +32,8 @@ LARGEST = 1e300
 """Numbers of a system are smaller."""
 LONGEST_NAME = 100
 """Most characters of a name or a unit."""
+DIRECT = "direct"
+"""In place of a gain of integral action: choose one."""
 LAWS = ("u = K x", "u = -K x")
 """How a gain may be meant."""
 
@@ -65,7 +67,8 @@ class System:
     with units, as Quantity or "name [unit]". `lower`, `upper` (m,): limits of the inputs as the plant takes them, infinite
     for none. `resolutions` (p,): step of a counting sensor, `deviations` (p,): standard deviation of a sensor's noise, 0 for
     none. `sample_time` [s]: of the controller. `set_points`: outputs with a reference. `biases`: outputs whose bias a Kalman
-    filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, None: chosen.
+    filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, None: chosen. `integral`: K_i (m, n)
+    of a linear PI controller that works, u = K x + v, v' = K_i x, or "direct", which chooses one; None: no integral action.
 
     Raises UserError that names the entry, its rule and what was found.
     """
@@ -89,6 +92,7 @@ class System:
     set_points: tuple[str, ...] = ()
     biases: tuple[str, ...] = ()
     bandwidth: float | None = None
+    integral: Array | str | None = None
     measures_state: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -111,6 +115,15 @@ class System:
             self._set("K", K[None, :] if K.ndim == 1 else K)
             if self.K.shape != (m, n):
                 raise UserError(f"K must have {m} rows of {n} numbers to fit B and A, found shape {self.K.shape}")
+        if isinstance(self.integral, str) and self.integral != DIRECT:
+            raise UserError(f'integral must be rows of numbers or "{DIRECT}", found {shown(self.integral)}')
+        if self.integral is not None and not isinstance(self.integral, str):
+            K_i = np.asarray(self.integral, dtype=float)
+            self._set("integral", _matrix("integral", K_i[None, :] if K_i.ndim == 1 else K_i))
+            if np.shape(self.integral) != (m, n):
+                raise UserError(
+                    f"integral must have {m} rows of {n} numbers to fit B and A, found shape {np.shape(self.integral)}"
+                )
         self._take_names(n, m, len(self.C))
         self._take_vectors(n, m, len(self.C))
         for value in (getattr(self, f.name) for f in fields(self)):
@@ -307,6 +320,8 @@ class System:
                 found[name] = list(getattr(self, name))
         if self.bandwidth is not None:
             found["bandwidth"] = self.bandwidth
+        if self.integral is not None:
+            found["integral"] = self.integral if isinstance(self.integral, str) else self.integral.tolist()
         return found
 
     def to_toml(self, comment: str = "") -> str:
@@ -370,7 +385,7 @@ _TEXTS = ("states", "inputs", "outputs", "set_points", "biases")
 _EQUILIBRIUM = {"states": "x_eq", "inputs": "u_eq", "outputs": "y_eq"}
 ENTRIES = (
     *("name", "A", "B", "b", "C", "K", "k_lin", "lqr", *_TEXTS, "limits", *_VECTORS),
-    *("sample_time", "equilibrium", "bandwidth"),
+    *("sample_time", "equilibrium", "bandwidth", "integral"),
 )
 """Entries of a system file."""
 
@@ -409,6 +424,10 @@ def _read_texts(name: str, value: object) -> tuple[str, ...]:
 
 def _read_rows(name: str, value: Any) -> Any:
     return _check_numbers(name, value, 1 if name in ("B", "K") and _is_row(value) else 2)
+
+
+def _read_integral(name: str, value: Any) -> Any:
+    return value if isinstance(value, str) else _check_numbers(name, value, 1 if _is_row(value) else 2)
 
 
 def _read_number(name: str, value: Any) -> float:
@@ -461,6 +480,7 @@ def _with_lqr(system: System, value: Any) -> System:
 _READERS: dict[str, Callable[[str, Any], Any]] = {
     "name": _read_text,
     **dict.fromkeys(("A", "B", "C", "K"), _read_rows),
+    "integral": _read_integral,
     **dict.fromkeys(_VECTORS, partial(_check_numbers, levels=1)),
     **dict.fromkeys(_TEXTS, _read_texts),
     **dict.fromkeys(("sample_time", "bandwidth"), _read_number),

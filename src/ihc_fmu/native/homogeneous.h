@@ -397,6 +397,25 @@ static inline double squared_norm(const block_design *d, const norm_polynomial *
     return total / (r * r);
 }
 
+/* y' P y / (y' P G_d y), y = d(-ln r) x: sum c_m s^m / sum (1 + mu m/2) c_m s^m; 1 where r is far from the norm. */
+static inline double radial_quotient(const block_design *d, const norm_polynomial *p, double r)
+{
+    if (p->exponent != 0) {
+        const int distance = order_of(r) - p->exponent;
+        if (distance > FAR_APART || distance < -FAR_APART) {
+            return 1.0;
+        }
+        r = ldexp(r, -p->exponent);
+    }
+    const double s = inverse_power(r, d->mu);
+    double total = 0.0, weighted = 0.0;
+    for (int m = coefficients_of(d) - 1; m >= 0; m--) {
+        total = total * s + p->c[m];
+        weighted = weighted * s + (1.0 + 0.5 * d->mu * m) * p->c[m];
+    }
+    return weighted > 0.0 && weighted < INFINITY ? total / weighted : 1.0;
+}
+
 /* The start of the search in the coordinates of the polynomial; 1 where the guess is of no use. */
 static inline double scaled_guess(double guess, int exponent)
 {
@@ -632,11 +651,18 @@ static inline double unshifted(double value, int shift)
     return shift == 0 || isnan(value) ? value : clamp(value, -MOST, MOST) * (shift > 0 ? LARGE : SMALL);
 }
 
-/* v' = r^(1-2 mu) K_i d(-ln r) x of the integral action, Kiz = K_i T^-1: s sum of Kiz_ij s^(e_j + 1) z_j. */
-static inline void integrand(const block_design *d, const double *Kiz, double r, const block_state *state, double *rates)
+/*
+ * v' = q r^(1-2 mu) K_i d(-ln r) x of the integral action, Kiz = K_i T^-1: q s sum of Kiz_ij s^(e_j + 1) z_j. q is the radial
+ * quotient where r is the norm of x (`is_free`); 1 where r is a limit in its place or the law is linear.
+ */
+static inline void integrand(const block_design *d, const double *Kiz, double r, const block_state *state, int is_free,
+                             double *rates)
 {
     const int n = states_of(d);
-    const double s = inverse_power(r, d->mu);
+    double s = inverse_power(r, d->mu);
+    if (is_free) {
+        s *= radial_quotient(d, &state->polynomial, r);
+    }
     double g[BLOCK_GAINS];
     make_gains(d, Kiz, r, g);
     for (int i = 0; i < inputs_of(d); i++) {

@@ -284,7 +284,9 @@ static int integrate(const regulator_params *p, const regulator_prepared *q, reg
 {
     const int m = p->input_count;
     double rates[INPUTS], v[INPUTS];
-    integrand(&q->design, q->Kiz, s->norm_used, state, rates);
+    const double r = s->norm_used;
+    const int is_free = p->law != REGULATOR_LAW_LC && q->search.a_min < r && r < q->search.b_max;
+    integrand(&q->design, q->Kiz, r, state, is_free, rates);
     for (int i = 0; i < m; i++) {
         const int winds_up =
             (wanted[i] > p->upper[i] && rates[i] > 0.0) || (wanted[i] < p->lower[i] && rates[i] < 0.0);

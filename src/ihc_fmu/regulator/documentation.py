@@ -12,6 +12,11 @@ ESTIMATES = {
     "homogeneous_observer": "A homogeneous observer estimates the states.",
 }
 
+INTEGRAL = """
+<p>Integral action: v adds to u, and v' = q r^(1-2 mu) K_i d(-ln r) x, with q = 1/(y' P G_d y), y = d(-ln r) x, where r is
+the norm, and q = 1 at its limits and in the LC. K_i = -Gamma B' P with Gamma &gt; 0: under a constant disturbance of the
+inputs the ideal law brings x to 0. v stands still where its command is beyond a limit and v would move farther.</p>"""
+
 
 def notes(design: Design, estimator: str) -> str:
     """Return the law's equations, what the modes do, and the design's certificate; `estimator` as in the FMU's table."""
@@ -19,13 +24,14 @@ def notes(design: Design, estimator: str) -> str:
     margins = "\n".join(f"<tr><td>{escape(name)}</td><td>{value:.3g}</td></tr>" for name, value in found.items())
     states = ", ".join(escape(q.name) for q in design.system.states)
     inputs = ", ".join(escape(q.name) for q in design.system.inputs)
+    integral = "" if design.integral is None else INTEGRAL
     return f"""<h2>Law</h2>
 <pre>LC    u = K x,   x = ({states}), u = ({inputs}), deviations from the equilibrium
 IHC   u = K_0 x + r^(1-mu) (K - K_0) d(-ln r) x,   d(s) = exp(s G_d)
       r = ||x||_d, the root of ||d(-ln r) x||_P = 1, limited to [a_min, b_max]</pre>
 <p>D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems", eqs. (8),
 (10), (11), Algorithm 1 (corrected) and Remark 5, for any order and several inputs. With a_min = b_max = 1 the IHC is the LC.
-With set-points x is the deviation from the states at rest for them. {ESTIMATES[estimator]}</p>
+With set-points x is the deviation from the states at rest for them. {ESTIMATES[estimator]}</p>{integral}
 <p>The controller samples each sample_time, the communication step must divide it, and holds its commands in between. A
 sample that falls on the start of a step acts in that step. Modes: idle (enabled false; commands 0 within their limits),
 stabilizing, fault (the same commands, latched until reset; a measurement or a command that is not finite).</p>

@@ -64,7 +64,7 @@ class Regulator:
     blocks; B (n, m) = T times the model's B; K_0 (m, n); K (m, n) the linear gain u = K x; P (n, n) of the unit ball
     x' P x <= 1; mu in [0, 1]. `sample_time` [s]. `lower`, `upper` (m,): limits of the inputs, infinite for none. x_eq (n,),
     u_eq (m,), y_eq (p,): equilibrium of the model, 0 by default. `filter` estimates the state, None: it is measured. N_x
-    (n, p), N_u (m, p): states and inputs at rest per set-point. K_i (m, n): integral action, v' = r^(1-2 mu) K_i d(-ln r) x.
+    (n, p), N_u (m, p): states and inputs at rest per set-point. K_i (m, n): integral action as in `ihc_fmu.integral`.
 
     Raises UserError for an array of another shape or with an entry that is not finite.
     """
@@ -118,11 +118,17 @@ class Regulator:
         for name, shape in estimators.get(type(self.filter), {}).items():
             _checked(f"the estimator's {name}", getattr(self.filter, name), shape)
 
+    @property
+    def estimator(self) -> str:
+        """Where the state comes from, one of ESTIMATORS."""
+        return {LinearFilter: "kalman", Observer: "homogeneous_observer"}.get(type(self.filter), "measured_state")
+
     def values(self) -> dict[str, Value]:
         """Return the start values of the compiled table that the design decides."""
         n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
         values: dict[str, Value] = {"state_count": n, "input_count": m, "output_count": p}
         values |= {"mu": self.mu, "sample_time": self.sample_time}
+        values |= {"estimator": ESTIMATORS.index(self.estimator) + 1}
         values |= {name: int(e) for name, e in zip(numbered("exponent", n), self.exponents, strict=True)}
         arrays = {"T": self.T, "N": self.N, "B": self.B, "K": self.K, "K0": self.K_0, "Ki": self.K_i}
         arrays |= {"Nx": self.N_x, "Nu": self.N_u, "P": self.P[np.triu_indices(n)]}
@@ -134,11 +140,9 @@ class Regulator:
             arrays |= {"C": f.C, "first": np.linalg.pinv(f.C)}
         if isinstance(f, LinearFilter):
             arrays |= {"F": f.F, "G": f.G, "M": f.M}
-            values |= {"estimator": ESTIMATORS.index("kalman") + 1, "bias_decay": f.decay}
-            values |= {"filter_sample_time": self.sample_time}
+            values |= {"bias_decay": f.decay, "filter_sample_time": self.sample_time}
         if isinstance(f, Observer):
             arrays |= {"F": f.A, "G": f.B, "To": f.T, "L0": f.L_0, "Lz": np.linalg.solve(f.T.T, f.L - f.L_0)}
-            values |= {"estimator": ESTIMATORS.index("homogeneous_observer") + 1}
             values |= {"observer_degree": f.nu, "q_min": f.q_min, "q_max": f.q_max}
             names = numbered("observer_exponent", n)
             values |= {name: int(e) for name, e in zip(names, f.exponents, strict=True)}
@@ -155,10 +159,8 @@ class Regulator:
         return replace(interface, variables=tuple(shown)), values
 
 
-def design_regulator(
-    design: Design, estimator: LinearFilter | Observer | None = None, K_i: Array | None = None
-) -> Regulator:
-    """Return what the controller FMU of a design needs; `estimator` and the integral gain K_i as in `Regulator`.
+def design_regulator(design: Design, estimator: LinearFilter | Observer | None = None) -> Regulator:
+    """Return what the controller FMU of a design needs; `estimator` as the filter of `Regulator`.
 
     The set-points of its system become matrices by `set_point_matrices`. Raises UserError where the states are not measured
     and there is no estimator, for set-points that cannot be held, and as `Regulator`.
@@ -196,7 +198,7 @@ def design_regulator(
         filter=estimator,
         N_x=N_x,
         N_u=N_u,
-        K_i=_DEFAULT if K_i is None else K_i,
+        K_i=_DEFAULT if design.integral is None else design.integral.K_i,
     )
 
 

@@ -4,10 +4,11 @@ At each sample, with deviations x, y, u from the equilibrium of the model and th
 
     the state x: measured, or estimated from the measured outputs y by a Kalman filter or a homogeneous observer
     e = x - N_x r,   r_d = ||e||_d,   u_h the LC or IHC at e
-    u = u_h + N_u r - d + v, limited;   v' = s^2 sum over j of Ki_z_ij s^e_j z_j,   s = r_d^-mu
+    u = u_h + N_u r - d + v, limited;   v' = q s^2 sum over j of Ki_z_ij s^e_j z_j,   s = r_d^-mu
 
-with d the estimated disturbances and v the integral action (HPIC), v' = r_d^(1-2 mu) K_i d(-ln r_d) e. v stands still where
-its input is beyond a limit and v would move farther beyond.
+with d the estimated disturbances and v the integral action (HPIC), v' = q r_d^(1-2 mu) K_i d(-ln r_d) e. With the r_d
+in the law within its limits q = 1/(y' P G_d y), y = d(-ln r_d) e; elsewhere, and with the LC, the law is linear and q = 1.
+v stands still where its input is beyond a limit and v would move farther beyond.
 
 Standard library only: this module travels inside the Python FMU.
 """
@@ -293,7 +294,9 @@ class HomogeneousControllerUnit(SampledUnit):
     def _integrate(self, block: laws.BlockState, wanted: Vector) -> list[str]:
         """Advance the integral action, but for entries that would push a command farther beyond its limit."""
         state = self.state
-        rates = laws.integrand(self.design, self.Kiz, state.norm_used, block)
+        r = state.norm_used
+        free = self.law != "LC" and self.search.a_min < r < self.search.b_max
+        rates = laws.integrand(self.design, self.Kiz, r, block, free)
         v = [
             v_i if _winds_up(u, rate, low, high) else flushed(v_i + self.sample_time * rate, LEAST)
             for v_i, rate, u, low, high in zip(state.v, rates, wanted, self.lower, self.upper, strict=True)

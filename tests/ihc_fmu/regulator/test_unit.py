@@ -90,7 +90,7 @@ def test_norm_and_commands_are_those_of_the_authors_toolbox(name):
 
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_integral_action_is_that_of_the_authors_toolbox(name):
-    """v' = r^(1-2 mu) K_i d(-ln r) x with K_i = -B' P; the toolbox's own gains."""
+    """v' = r^(1-2 mu) K_i y / (y' P G_d y), y = d(-ln r) x, with K_i = -B' P; the toolbox omits the divisor."""
     system = SYSTEMS[name]
     for part in system["hpc_design"]:
         mu = -part["degree"]
@@ -103,7 +103,11 @@ def test_integral_action_is_that_of_the_authors_toolbox(name):
             np.testing.assert_allclose(u, np.ravel(v["u"]), rtol=1e-9)
             unit = unit_of(regulator, **EXPLICIT)
             unit.step(0.0, H, row(x))
-            np.testing.assert_allclose(np.array(unit.state.v) / H, np.ravel(v["integrand_hpic"]), rtol=1e-9)
+            G = np.array(part["Gd"])
+            y = expm(-np.log(v["norm"]) * G) @ x
+            np.testing.assert_allclose(
+                np.array(unit.state.v) / H * (y @ regulator.P @ G @ y), np.ravel(v["integrand_hpic"]), rtol=1e-8
+            )
 
 
 # The laws
@@ -403,6 +407,20 @@ def test_integrand_is_its_formula_with_the_matrix_exponential():
         design = system.design()
         Kiz = (K_i @ np.linalg.inv(system.T)).tolist()
         for r in (0.3, 1.0, 2.0):
-            found = integrand(design, Kiz, r, block_state(design, x.tolist()))
-            expected = r ** (1 - 2 * mu) * K_i @ expm(-system.generator() * math.log(r)) @ x
-            np.testing.assert_allclose(found, expected, rtol=1e-8)
+            y = expm(-system.generator() * math.log(r)) @ x
+            expected = r ** (1 - 2 * mu) * K_i @ y
+            quotient = (y @ system.P @ y) / (y @ system.P @ system.generator() @ y)
+            for free, factor in ((False, 1.0), (True, quotient)):
+                found = integrand(design, Kiz, r, block_state(design, x.tolist()), free)
+                np.testing.assert_allclose(found, factor * expected, rtol=1e-8)
+
+
+def test_integral_action_is_linear_where_the_law_is():
+    """At a limit of the norm and with the LC v' = r^(1-2 mu) K_i d(-ln r) x without a quotient: at r = 1 K_i x."""
+    regulator = replace(random_regulator(4, 2, mu=0.5, integral=True), lower=None, upper=None)
+    x = 5.0 * np.random.default_rng(8).normal(size=4)
+    for choice in ({"law": 1}, {"a_min": 1.0, "b_max": 1.0}, {"a_min": 0.5, "b_max": 1.0}):
+        unit = unit_of(regulator, norm_solver=2, discretization=1, **choice)
+        unit.step(0.0, H, row(regulator.y_eq + x))
+        assert outputs(unit)["homogeneous_norm"] > 1.0
+        np.testing.assert_allclose(np.array(unit.state.v), H * regulator.K_i @ x, rtol=1e-9)

@@ -1,0 +1,181 @@
+"""A design's controller as an object: `controller(y)` advances it by one sample and returns the inputs of the plant.
+
+It is the unit that the controller's FMU holds, with the FMU's names and start values; nothing is computed here.
+
+    >>> import numpy as np
+    >>> from ihc_fmu.controller import Controller, design
+    >>> from ihc_fmu.system import System
+    >>> A, B, h = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]]), 1e-3
+    >>> pendulum = System(A=A, B=B, states=("angle [rad]", "rate [rad/s]"), inputs=("torque [N.m]",), sample_time=h)
+    >>> controller = Controller(design(pendulum.with_lqr([1.0, 1.0], [1.0])), a_min=0.05)
+    >>> x = np.array([0.1, 0.0])
+    >>> for _ in range(4000):
+    ...     x = x + h * (A @ x + B @ controller(x))
+    >>> controller.mode, bool(abs(x).max() < 1e-6)
+    ('stabilizing', True)
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fmu_export.errors import UserError
+from fmu_export.shown import Showing
+from fmu_export.variables import Interface, Value, did_you_mean
+
+from .design import Design
+from .estimation import estimator
+from .regulator.interface import INTERFACE, MODES, OUTPUTS, numbered
+from .regulator.start_values import LinearFilter, Regulator, design_regulator
+from .regulator.unit import HomogeneousControllerUnit
+from .sampled_unit import FAULTS
+from .synthesis import chosen_options, inverse_design
+from .system import System
+
+Array = np.ndarray
+
+
+def design(system: System, mu: float | None = None, alpha: float | None = None, **rest: Any) -> Design:
+    """Return the homogeneous controller made from the gain K of a system; what is not given is chosen.
+
+    `alpha` [1/s] and `rest` are entries of `synthesis.Options`. Raises UserError, InfeasibleError where there is none.
+    """
+    return inverse_design(system, chosen_options(system, mu, alpha, **rest).options)
+
+
+def resampled(design: Design, sample_time: Value | str | None) -> Design:
+    """Return the design with another sample time [s] of its system, None: with its own; UserError for one that is none."""
+    if sample_time is None:
+        return design
+    time = INTERFACE.by_name["sample_time"].check(sample_time)
+    return replace(design, system=design.system.changed(sample_time=time))
+
+
+def regulator_of(design: Design) -> Regulator:
+    """Return all numbers of a design's controller: where states are not measured, with the estimator of its system.
+
+    Raises UserError where there is no estimator, and as `design_regulator`.
+    """
+    return design_regulator(design, None if design.system.measures_state else _kalman(design))
+
+
+def _kalman(design: Design) -> LinearFilter:
+    found = estimator(design)
+    return LinearFilter(F=found.F, G=found.G, C=np.asarray(design.system.C), M=found.M, decay=found.decay)
+
+
+class Controller:
+    """The controller of a design, sample by sample.
+
+    `start` are start values of its FMU by their names there: parameters (`a_min=0.2`, `law="LC"`, `force_upper=5.0`) and
+    set-points (`position_setpoint=0.5`). Quantities are absolute, as the plant has them. Raises UserError for a name or a
+    value that the FMU does not have or admit.
+
+    `values`: start values in force, by name. `messages`: what the controller has said since its beginning, faults above all.
+    """
+
+    def __init__(self, design: Design, **start: Value | str) -> None:
+        self.design = resampled(design, start.get("sample_time"))
+        interface, self._hidden = regulator_of(self.design).exported()
+        self._showing = Showing(INTERFACE, interface)
+        self.values = interface.start_values(start)
+        self._unit = self._made()
+        self.reset()
+
+    @property
+    def interface(self) -> Interface:
+        """The variables of the controller's FMU."""
+        return self._showing.interface
+
+    def __call__(self, y: ArrayLike) -> Array:
+        """Return the plant's inputs u (m,) for its measured outputs y (p,), held for one sample time.
+
+        Values that are not finite latch a fault, and u is then 0 within its limits. Raises UserError for another length.
+        """
+        inputs = (*self._measured(y), *self._set_points())
+        if self.samples == 0:
+            self._unit.initialize(0.0, inputs)
+        time = self.samples * self._unit.sample_time
+        said = self._unit.step(time, self._unit.sample_time, inputs)
+        self.messages += [f"t = {time:.9g} s: {self._showing.sentence(text)}" for text in said]
+        self.samples += 1
+        return np.array(self._unit.state.commands)
+
+    def set(self, **changes: Value | str) -> None:
+        """Change set-points and tunable parameters from the next sample on, by their names; the state stays.
+
+        Raises UserError for what does not exist, cannot change during a run, or does not admit the value; nothing is
+        changed then.
+        """
+        known = {v.name: v for v in self.interface.variables if v.causality == "input" or v.variability == "tunable"}
+        for name in changes:
+            if name not in known:
+                raise UserError(f"{name!r} cannot be set during a run{did_you_mean(name, known)}")
+        before, unit = self.values, self._unit
+        try:
+            self.values = {**before, **{name: known[name].check(value) for name, value in changes.items()}}
+            self._unit = self._made()
+        except UserError:
+            self.values, self._unit = before, unit
+            raise
+        self._unit.set_state(unit.get_state())
+
+    def reset(self) -> None:
+        """Begin anew: no sample taken, no fault; set-points and parameters stay."""
+        self._unit = self._made()
+        self.samples = 0
+        self.messages: list[str] = []
+
+    @property
+    def norm(self) -> float:
+        """The homogeneous norm of the deviation at the last sample; 0 before the first."""
+        return self._unit.state.norm
+
+    @property
+    def mode(self) -> str:
+        """`idle`, `stabilizing` or `fault`."""
+        return MODES[self._unit.state.mode - 1]
+
+    @property
+    def fault(self) -> str:
+        """Why the controller has stopped: `none`, `non_finite_input` or `non_finite_control`."""
+        return FAULTS[self._unit.state.fault - 1]
+
+    @property
+    def estimate(self) -> Array:
+        """The states (n,) that the law used at the last sample."""
+        return np.array(self._unit.state.x) + self._unit.x_eq
+
+    @property
+    def disturbance(self) -> Array:
+        """What the Kalman filter takes for disturbances of the inputs (m,); 0 without one."""
+        return np.array(self._unit.state.d)
+
+    @property
+    def integral(self) -> Array:
+        """The integral action v (m,), part of u; 0 without one."""
+        return np.array(self._unit.state.v)
+
+    def _made(self) -> HomogeneousControllerUnit:
+        try:
+            return HomogeneousControllerUnit(self._showing.compiled_values(self.values, self._hidden))
+        except UserError as error:
+            raise UserError(self._showing.sentence(str(error))) from None
+
+    def _measured(self, y: ArrayLike) -> list[float]:
+        names = [q.name for q in self.design.system.outputs]
+        try:
+            found = np.asarray(y, dtype=float)
+        except (TypeError, ValueError):
+            found = np.empty(0)
+        if found.shape != (len(names),):
+            raise UserError(f"y must be {len(names)} numbers, {', '.join(names)}, found shape {found.shape}")
+        return [*found.tolist(), *[0.0] * (OUTPUTS - len(names))]
+
+    def _set_points(self) -> list[float]:
+        """Return the set-points of the compiled table; those that are not shown stay at the equilibrium."""
+        return [self._unit.values[name] for name in numbered("setpoint", OUTPUTS)]
