@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from ihc_fmu.kalman import KalmanOptions, kalman_gain, linearize
 from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.kalman import KalmanOptions, kalman_gain, linearize
 from ihc_fmu.pendulum.nominal_model import nominal_model
 from ihc_fmu.pendulum.start_values import kalman_values, nominal_values
 from ihc_fmu.pendulum.velocity import BIAS_DECAY
