@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 
 import numpy as np
+from scipy.linalg import qr
 
 from fmu_export.errors import UserError
 
@@ -151,17 +152,25 @@ def _staircase(A: Array, B: Array, units: Array, names: Sequence[str]) -> list[A
         U, values, _ = np.linalg.svd(rest.T @ reached)
         rank = int((values > RANK * max(1.0, float(values[0]) if len(values) else 1.0)).sum())
         if rank == 0:
-            raise UserError(f"(A, B) must be controllable; no input moves {combination(rest[:, -1] / units, names)}")
+            raise UserError(f"(A, B) must be controllable; no input moves {combination(_simple(rest, units), names)}")
         bases.append(rest @ U[:, :rank])
         rest = rest @ U[:, rank:]
         reached = A @ bases[-1]
     return bases[::-1]
 
 
+def _simple(basis: Array, units: Array) -> Array:
+    """Return a combination of the columns of an orthonormal basis that leaves out as many states as the columns allow."""
+    pivots = qr(basis.T, mode="r", pivoting=True)[1][: basis.shape[1]]
+    reduced = basis @ np.linalg.inv(basis[pivots])
+    fewest = int(np.argmin((np.abs(reduced) > RANK).sum(axis=0)))
+    return np.where(np.abs(reduced[:, fewest]) > RANK, reduced[:, fewest], 0.0) / units
+
+
 def combination(direction: Array, names: Sequence[str]) -> str:
     """Return a linear combination of states, by their names or x1, x2, ..., as text, its largest coefficient 1."""
-    largest = int(np.argmax(np.abs(direction)))
-    direction = direction / direction[largest]
+    sizes = np.abs(direction)
+    direction = direction / direction[int(np.argmax(sizes > sizes.max() * (1.0 - 1e-6)))]  # the first of equals
     names = names or [f"x{i}" for i in range(1, len(direction) + 1)]
     parts = [
         ("- " if c < 0.0 else "+ ") + ("" if abs(abs(c) - 1.0) < 1e-6 else f"{abs(c):.3g} ") + name

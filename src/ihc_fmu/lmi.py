@@ -36,6 +36,8 @@ FIRST_STEP, LEAST_STEP, GROWTH = 0.25, 0.01, 1.5
 """Of the homotopy, as a share of the way."""
 NOTHING = 1e-8
 """Margin, relative to the trace of P, that is none."""
+DUALS, CLEAR, NARROW = 5, 1e-6, 1e-6
+"""Programs for a refutation, what is a clear one, and the smallest eigenvalue of Z_1 + Z_2 that the next is scaled by."""
 MARGIN = 1e-7
 """By which an inequality must hold to count as held, relative to the size of its terms."""
 
@@ -221,23 +223,37 @@ def is_refuted(problem: Problem, mu: float, a: float) -> bool:
 
     For any Z_1, Z_2 >= 0 of traces that sum up to 1, the smallest eigenvalue -t of F_1 Z_1 + Z_1 F_1' + F_2 Z_2 + Z_2 F_2',
     F_i relative to their norms, bounds what is to be found: a P of trace 1 satisfies both F_i' P + P F_i <= -s I for no s
-    beyond t. What would hold by less than NOTHING cannot be told from rounding, and counts as refuted.
+    beyond t. In bad coordinates it is near 0 whether or not there is a P, so that it is computed again where Z_1 + Z_2 is
+    the unit matrix, until it is clear. What would hold there by less than NOTHING cannot be told from rounding, and counts
+    as refuted: where parts of a system are apart and only one of them has no P, -t is 0 at best.
     """
+    least = -np.inf
+    for _ in range(DUALS):
+        matrices = [F / np.linalg.norm(F, 2) for F in problem.both(mu, a)]
+        try:
+            Z = _dual(matrices)
+        except InfeasibleError:
+            break
+        total = _dual_sum(matrices, Z)
+        least = float(np.linalg.eigvalsh((total + total.T) / 2)[0])
+        if abs(least) > CLEAR:
+            break
+        problem = problem.to(np.linalg.inv(Z[0] + Z[1] + NARROW * np.eye(len(total))))
+    return least > -NOTHING
+
+
+def _dual(matrices: Sequence[Array]) -> list[Array]:
+    """Return Z_1 and Z_2 of traces that sum up to 1, with the largest -t that the solver finds; raises as `solve`."""
     import cvxpy as cp  # noqa: PLC0415
 
-    n = len(problem.E)
-    matrices = [F / np.linalg.norm(F, 2) for F in problem.both(mu, a)]
+    n = len(matrices[0])
     Z = [cp.Variable((n, n), PSD=True) for _ in matrices]
     t = cp.Variable()
     size: Any = cp.trace(Z[0]) + cp.trace(Z[1])
-    program = cp.Problem(cp.Maximize(t), [_dual_sum(matrices, Z) >> t * np.eye(n), size == 1])
-    try:
-        solve(program, "the dual")
-    except InfeasibleError:
-        return False
+    solve(cp.Problem(cp.Maximize(t), [_dual_sum(matrices, Z) >> t * np.eye(n), size == 1]), "the dual")
     values = [_positive_part(np.asarray(Y.value)) for Y in Z]
-    total = _dual_sum(matrices, values) / sum(float(np.trace(Y)) for Y in values)
-    return float(np.linalg.eigvalsh((total + total.T) / 2)[0]) > -NOTHING
+    whole = sum(float(np.trace(Y)) for Y in values)
+    return [Y / whole for Y in values]
 
 
 def _dual_sum(matrices: Sequence[Array], Z: Sequence[Any]) -> Any:

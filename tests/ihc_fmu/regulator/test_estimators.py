@@ -1,7 +1,5 @@
 """The homogeneous observer: the authors' toolbox, the linear observer as a special case, convergence."""
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,9 +8,8 @@ from scipy.linalg import expm
 
 from ihc_fmu.block_form import block_form
 from ihc_fmu.regulator.estimators import HomogeneousObserver, observer_gain, observer_step
+from tests.ihc_fmu.reference import SYSTEMS
 
-DATA = Path(__file__).parent.parent / "data" / "hcs_general_reference.json"
-SYSTEMS = {system["name"]: system for system in json.loads(DATA.read_text(encoding="utf-8"))["systems"]}
 H = 1e-3
 
 

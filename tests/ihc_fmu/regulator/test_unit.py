@@ -3,7 +3,6 @@
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,10 +19,9 @@ from ihc_fmu.regulator.unit import HomogeneousControllerUnit, Mode
 from ihc_fmu.sampled_unit import Fault
 from tests.ihc_fmu.blocks import exponents_of, random_system
 from tests.ihc_fmu.conftest import chain_of
+from tests.ihc_fmu.reference import SYSTEMS
 from tests.ihc_fmu.regulator.conftest import OUTPUT_NAMES, H, names, random_regulator, row
 
-DATA = Path(__file__).parent.parent / "data" / "hcs_general_reference.json"
-SYSTEMS = {system["name"]: system for system in json.loads(DATA.read_text(encoding="utf-8"))["systems"]}
 EXPLICIT, EXACT = {"discretization": 1, "norm_solver": 2, "a_min": 1e-6, "b_max": 1e6}, {"norm_solver": 2}
 LC = {"law": 1}
 
