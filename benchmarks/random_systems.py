@@ -27,11 +27,16 @@ NEAR = 1e-3
 
 @dataclass(frozen=True)
 class Drawn:
-    """A system with its gain, alpha [1/s] and bounds u_max (m,) to ask for, and how it was drawn."""
+    """A system with its gain, alpha [1/s] and bounds u_max (m,) to ask for, and how it was drawn.
+
+    The state is `units` times that of the same system drawn without units, and time runs `omega` times as fast.
+    """
 
     system: System
     alpha: float
     u_max: Array
+    units: Array
+    omega: float
     about: str
 
 
@@ -54,7 +59,7 @@ def drawn(seed: int, n: int | None = None, units: bool = True) -> Drawn:
     slowest = -np.linalg.eigvals(A + B @ K).real.max()
     system = System(A=omega * A * x[:, None] / x, B=omega * B * x[:, None] / u, K=K * u[:, None] / x)
     about = f"seed {seed}: n {n}, m {m}, {kind}, {gain}, alpha {share:g} of the slowest pole"
-    return Drawn(system, share * slowest * omega, u_max, about)
+    return Drawn(system, share * slowest * omega, u_max, x, omega, about)
 
 
 def _matrices(rng: np.random.Generator, kind: str, n: int, m: int) -> tuple[Array, Array]:

@@ -1,0 +1,276 @@
+"""A system with names and units: every rule and its refusal, models of others, its file, its regulator."""
+
+from dataclasses import fields
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_are
+
+from fmu_export.errors import UserError
+from ihc_fmu.system import Quantity, System, from_dict
+
+A = [[0.0, 1.0], [-2.0, -3.0]]
+B = [[0.0], [1.0]]
+TWO: dict[str, Any] = {"A": A, "B": B}
+CRANE: dict[str, Any] = {
+    "name": "crane",
+    "A": [[0.0, 1.0, 0.0], [0.0, -0.1, 0.25], [0.0, 0.0, -1e-3]],
+    "B": [[0.0, 0.0], [1.0, 0.0], [0.0, 1 / 3]],
+    "C": [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+    "K": [[-1.0, -2.0, 0.0], [0.0, 0.0, -0.1]],
+    "states": ["position [m]", "velocity [m/s]", "wind"],
+    "inputs": ["force [N]", "fan [1/s]"],
+    "outputs": ["position [m]", "gauge [kg m^2/s]"],
+    "limits": [10.0, [-1.0, 3.0]],
+    "resolutions": [1e-4, 0.0],
+    "deviations": [0.0, 1e-3],
+    "sample_time": 2e-3,
+    "equilibrium": {"states": [1.0, 0.0, 2.0], "inputs": [0.5, 1.0], "outputs": [1.0, 2.0]},
+    "set_points": ["position"],
+    "biases": ["gauge"],
+    "bandwidth": 20.0,
+}
+
+
+def test_defaults_say_nothing_that_was_not_given():
+    s = System(A=np.array(A), B=np.array([0.0, 1.0]))
+    assert (s.n, s.m, s.p, s.name, s.measures_state) == (2, 1, 2, "system", True)
+    assert [str(q) for q in (*s.states, *s.inputs, *s.outputs)] == ["x1", "x2", "u1", "x1", "x2"]
+    assert s.B.shape == (2, 1)
+    assert (s.K, s.bandwidth) == (None, None)
+    assert (s.lower, s.upper) == ([-np.inf], [np.inf])
+    assert not any(np.any(v) for v in (s.x_eq, s.u_eq, s.y_eq, s.resolutions, s.deviations))
+
+
+def test_a_system_cannot_be_changed_from_outside():
+    model = np.array(A)
+    s = System(A=model, B=np.array(B))
+    model[0, 0] = 7.0
+    assert s.A[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        s.A[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "unit"),
+    [
+        ("position [m]", "position", "m"),
+        (" position  [ m/s^2 ] ", "position", "m/s^2"),
+        ("position", "position", "1"),
+        ("tank[3]", "tank[3]", "1"),
+        ("tank[3] [m]", "tank[3]", "m"),
+        ("tank 3 level [mm]", "tank 3 level", "mm"),
+    ],
+)
+def test_names_carry_units(text, name, unit):
+    assert Quantity.parse(text) == Quantity(name, unit)
+    assert Quantity.parse(str(Quantity(name, unit))) == Quantity(name, unit)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"A": [[0, 1]]}, "A must be a square matrix, found shape (1, 2)"),
+        ({"A": []}, "A must be rows of numbers, all of one length, found shape (0,)"),
+        ({"A": [[0, 1], [2]]}, "A must be rows of numbers, all of one length, found [[0, 1], [2]]"),
+        ({"A": [[0, "x"], [0, 0]]}, "A must be rows of numbers, found [[0, 'x'], [0, 0]]"),
+        ({"A": [[0, True], [0, 0]]}, "A must be rows of numbers, found [[0, True], [0, 0]]"),
+        ({"A": [[0, 1], [float("nan"), 0]]}, "A must be finite, found nan"),
+        ({"A": [[0, 1], [1e301, 0]]}, "A must be finite, found 1e+301"),
+        ({"B": [[0], [1], [2]]}, "B must have 2 rows to fit A, found shape (3, 1)"),
+        ({"B": [[], []]}, "B must have 2 rows to fit A, found shape (2, 0)"),
+        ({"b": [0, 1]}, "a system has b or B, found both"),
+        ({"C": [[1, 0, 0]]}, "C must have 2 columns to fit A, found shape (1, 3)"),
+        ({"K": [[1, 2, 3]]}, "K must have 1 rows of 2 numbers to fit B and A, found shape (1, 3)"),
+        ({"K": [1, 2], "lqr": {"Q": [1, 1], "R": [1]}}, "a system has lqr or K, found both"),
+        ({"name": "two tanks"}, "name must be a short C identifier, found 'two tanks'"),
+        ({"name": 3}, "name must be a text, found 3"),
+        ({"states": ["a"]}, "states must be 2 names to fit the matrices, found 1"),
+        ({"states": ["a", "a [m]"]}, "states must have different names, found 'a' twice"),
+        ({"states": ["a", ""]}, "a quantity must be a printable name and perhaps a [unit], found ''"),
+        ({"states": ["a", "b\n"], "inputs": ["b"]}, "inputs must have other names than states and outputs, found 'b' twice"),
+        ({"states": "ab"}, "states must be a list of texts, found 'ab'"),
+        ({"states": ["a", 1]}, "each of states must be a text, found 1"),
+        ({"outputs": ["y", "z"]}, "outputs must come with C; without C the states are measured"),
+        ({"limits": [1, 2]}, "limits must be 1 numbers to fit the matrices, found shape (2,)"),
+        ({"limits": [[2, 1]]}, "limits must be apart, lower below upper, found [2.] and [1.]"),
+        ({"limits": [[1, 2]]}, "limits must leave room around the inputs at the equilibrium, found [0.]"),
+        ({"limits": 1}, "limits must be a number or [lower, upper] per input, found 1"),
+        ({"limits": [[1, 2, 3]]}, "limits must be a number or [lower, upper] per input, found [[1, 2, 3]]"),
+        ({"resolutions": [1e-3]}, "resolutions must be 2 numbers to fit the matrices, found shape (1,)"),
+        ({"resolutions": [1e-3, -1.0]}, "resolutions must not be negative, found -1"),
+        ({"deviations": [float("inf"), 0]}, "deviations must be finite, found inf"),
+        ({"sample_time": 0}, "sample_time must be positive and finite [s], found 0.0"),
+        ({"sample_time": "1 ms"}, "sample_time must be a number, found '1 ms'"),
+        ({"bandwidth": -1}, "bandwidth must be positive and finite [rad/s], found -1.0"),
+        ({"set_points": ["x3"]}, "set_points must name outputs, found 'x3'"),
+        ({"biases": ["x1", "x1"]}, "biases must have different names, found 'x1' twice"),
+        ({"equilibrium": {"state": [0]}}, "equilibrium must be a table of states, inputs, outputs, found {'state': [0]}"),
+        ({"equilibrium": {"states": [0]}}, "x_eq must be 2 numbers to fit the matrices, found"),
+        ({"equilibrium": {"states": 0}}, "equilibrium.states must be a list of numbers, found 0"),
+        ({"lqr": {"Q": [1, 1]}}, "lqr must be a table of Q and R, found {'Q': [1, 1]}"),
+        ({"lqr": {"Q": [1], "R": [1]}}, "lqr.Q must be 2 numbers, or a symmetric matrix of that size, found"),
+        ({"lqr": {"Q": [1, -1], "R": [1]}}, "lqr.Q must be positive semidefinite"),
+        ({"lqr": {"Q": [1, 1], "R": [0]}}, "lqr.R must be positive definite"),
+        ({"statse": ["a", "b"]}, "a system has no entry 'statse'"),
+    ],
+)  # fmt: skip
+def test_every_rule_is_told_in_one_sentence(changes, message):
+    with pytest.raises(UserError) as refusal:
+        from_dict({**TWO, **changes})
+    assert str(refusal.value).startswith(message)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("data", [None, [], "A", 3])
+def test_what_is_no_table_is_refused(data):
+    with pytest.raises(UserError, match="a system must be a table of entries, found"):
+        from_dict(data)
+
+
+@pytest.mark.parametrize("missing", ["A", "B"])
+def test_model_must_be_there(missing):
+    with pytest.raises(UserError, match=f"a system must have {missing}"):
+        from_dict({name: value for name, value in TWO.items() if name != missing})
+
+
+# Models of others
+
+
+def state_space(**changes):
+    model: dict[str, Any] = {"A": np.array(A), "B": np.array(B), "C": np.array([[1.0, 0.0]]), "D": np.zeros((1, 1))}
+    labels = {"state_labels": ["angle", "rate"], "input_labels": ["torque"], "output_labels": ["encoder"]}
+    return SimpleNamespace(**{**model, "dt": 0, **labels, **changes})
+
+
+def test_state_space_comes_with_its_labels():
+    s = System.from_state_space(state_space(), sample_time=5e-3)
+    assert [q.name for q in (*s.states, *s.inputs, *s.outputs)] == ["angle", "rate", "torque", "encoder"]
+    np.testing.assert_array_equal(s.C, [[1.0, 0.0]])
+    assert (s.measures_state, s.sample_time, s.K) == (False, 5e-3, None)
+    named = System.from_state_space(state_space(), states=("angle [rad]", "rate [rad/s]"))
+    assert named.states[0] == Quantity("angle", "rad")
+
+
+def test_unit_matrix_as_output_stands_for_measured_states():
+    model = state_space(C=np.eye(2), D=np.zeros((2, 1)), output_labels=["y[0]", "y[1]"])
+    s = System.from_state_space(model)
+    assert s.measures_state
+    assert s.outputs == s.states
+
+
+@pytest.mark.parametrize(("law", "sign"), [("u = K x", 1.0), ("u = -K x", -1.0)])
+def test_gain_has_the_sign_that_is_told(law, sign):
+    K = np.array([[-1.0, -2.0]])
+    np.testing.assert_array_equal(System.from_state_space(state_space(), K, law).K, sign * K)
+
+
+@pytest.mark.parametrize("law", [None, "", "u=-Kx", -1])
+def test_sign_of_a_gain_is_never_guessed(law):
+    with pytest.raises(UserError, match=r"law must say how K is meant, 'u = K x' or 'u = -K x', found"):
+        System.from_state_space(state_space(), np.array([[1.0, 2.0]]), law)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dt": 0.01}, r"must be in continuous time, found dt = 0\.01"),
+        ({"dt": True}, r"must be in continuous time, found dt = True"),
+        ({"D": [[1.0]]}, r"must have D = 0"),
+    ],
+)
+def test_models_of_another_kind_are_refused(changes, message):
+    with pytest.raises(UserError, match=message):
+        System.from_state_space(state_space(**changes))
+
+
+# Files
+
+
+def same(one, other):
+    for f in fields(System):
+        np.testing.assert_array_equal(getattr(one, f.name), getattr(other, f.name), err_msg=f.name)
+
+
+@pytest.mark.parametrize("data", [TWO, CRANE, {**TWO, "limits": [[-5.0, float("inf")]]}])
+def test_system_survives_its_file_to_the_last_bit(tmp_path, data):
+    s = from_dict(data)
+    path = tmp_path / "new" / "system.toml"
+    s.save(path, "a comment\nof two lines")
+    same(System.load(path), s)
+    text = path.read_text(encoding="utf-8")
+    assert "# a comment\n# of two lines\n" in text
+    assert System.load(path).to_toml("a comment\nof two lines") == text
+
+
+def test_entries_of_a_file_mean_what_they_say(tmp_path):
+    s = from_dict(CRANE)
+    np.testing.assert_array_equal(np.array([s.lower, s.upper]).T, [[-10.0, 10.0], [-1.0, 3.0]])
+    np.testing.assert_array_equal(s.u_eq, [0.5, 1.0])
+    assert s.outputs[1] == Quantity("gauge", "kg m^2/s")
+    path = tmp_path / "2 tanks.toml"
+    path.write_text("A = [[0]]\nb = [2]\nk_lin = [-3]\n", encoding="utf-8")
+    scalar = System.load(path)
+    assert (scalar.name, scalar.B[0, 0], scalar.K) == ("_2_tanks", 2.0, [[-3.0]])
+
+
+def test_errors_name_the_file(tmp_path):
+    path = tmp_path / "crane.toml"
+    path.write_text("A = [[0]]\n", encoding="utf-8")
+    with pytest.raises(UserError) as refusal:
+        System.load(path)
+    assert str(refusal.value) == f"{path}: a system must have B"
+
+
+def test_change_of_the_outputs_forgets_what_was_about_them():
+    s = from_dict(CRANE)
+    changed = s.changed(C=np.eye(3)[1:2])
+    assert [q.name for q in changed.outputs] == ["y1"]
+    assert (changed.set_points, changed.biases, changed.resolutions) == ((), (), [0.0])
+    same(s.changed(sample_time=2e-3), s)
+    assert from_dict(TWO).changed(K=np.ones((1, 2))).measures_state
+
+
+# The linear-quadratic regulator
+
+
+def test_regulator_of_a_double_integrator_has_its_closed_form():
+    """Q = diag(q, 0), R = r: K = -(sqrt(q/r), sqrt(2 sqrt(q/r)))."""
+    s = System(A=np.eye(2, k=1), B=np.array([0.0, 1.0]))
+    np.testing.assert_allclose(
+        s.with_lqr(np.array([16.0, 0.0]), np.array([1.0])).K, [[-4.0, -np.sqrt(8.0)]], rtol=1e-12
+    )
+
+
+def test_regulator_solves_its_riccati_equation():
+    rng = np.random.default_rng(0)
+    s = System(A=rng.normal(size=(5, 5)), B=rng.normal(size=(5, 2)))
+    L, M = rng.normal(size=(5, 5)), rng.normal(size=(2, 2))
+    Q, R = L @ L.T, M @ M.T + np.eye(2)
+    K = s.with_lqr(Q, R).K
+    np.testing.assert_allclose(K, -np.linalg.solve(R, s.B.T @ solve_continuous_are(s.A, s.B, Q, R)), rtol=1e-9)
+    file = from_dict({"A": s.A.tolist(), "B": s.B.tolist(), "lqr": {"Q": Q.tolist(), "R": R.tolist()}})
+    np.testing.assert_array_equal(file.K, K)
+
+
+@pytest.mark.parametrize("Q", [[1.0, 0.0], [0.0, 1.0]])
+def test_regulator_that_does_not_stabilize_is_refused(Q):
+    """An unstable state that no input moves, or that the weights do not see."""
+    A = np.diag([-1.0, 0.0]) if Q[0] else np.diag([0.0, -1.0])
+    B = np.array([1.0, 0.0]) if Q[0] else np.array([1.0, 1.0])
+    with pytest.raises(UserError, match="lqr has no stabilizing solution"):
+        System(A=A, B=B).with_lqr(np.array(Q), np.array([1.0]))
+
+
+def test_only_column_is_for_one_input():
+    np.testing.assert_array_equal(from_dict(TWO).b, [0.0, 1.0])
+    with pytest.raises(UserError, match="b is for systems with one input, found 2 inputs"):
+        from_dict(CRANE).b  # noqa: B018
+
+
+def test_unknown_output_is_told_with_what_is_near():
+    assert from_dict(CRANE).output("gauge") == 1
+    with pytest.raises(UserError, match=r"output must name outputs, found 'guage'.*gauge"):
+        from_dict(CRANE).output("guage")
