@@ -67,8 +67,9 @@ class System:
     with units, as Quantity or "name [unit]". `lower`, `upper` (m,): limits of the inputs as the plant takes them, infinite
     for none. `resolutions` (p,): step of a counting sensor, `deviations` (p,): standard deviation of a sensor's noise, 0 for
     none. `sample_time` [s]: of the controller. `set_points`: outputs with a reference. `biases`: outputs whose bias a Kalman
-    filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, None: chosen. `integral`: K_i (m, n)
-    of a linear PI controller that works, u = K x + v, v' = K_i x, or "direct", which chooses one; None: no integral action.
+    filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, 0: none, None: chosen. `integral`: K_i
+    (m, n) of a linear PI controller that works, u = K x + v, v' = K_i x, or "direct", which chooses one; None: no integral
+    action.
 
     Raises UserError that names the entry, its rule and what was found.
     """
@@ -189,8 +190,8 @@ class System:
             raise UserError(f"limits must leave room around the inputs at the equilibrium, found {self.u_eq}")
         if not 0.0 < self.sample_time < LARGEST:
             raise UserError(f"sample_time must be positive and finite [s], found {self.sample_time}")
-        if self.bandwidth is not None and not 0.0 < self.bandwidth < LARGEST:
-            raise UserError(f"bandwidth must be positive and finite [rad/s], found {self.bandwidth}")
+        if self.bandwidth is not None and not 0.0 <= self.bandwidth < LARGEST:
+            raise UserError(f"bandwidth must be 0 or more and finite [rad/s], found {self.bandwidth}")
 
     def _measured_equilibrium(self, y_eq: object) -> object:
         """Return y_eq of measured states, which is x_eq."""

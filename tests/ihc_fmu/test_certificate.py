@@ -4,13 +4,16 @@ from dataclasses import replace
 from fractions import Fraction
 from math import log
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.linalg import eigh, expm
 
+from benchmarks.random_systems import drawn
 from ihc_fmu.block_form import block_form
 from ihc_fmu.certificate import CertificateError, certify, is_positive, norm_of, settling_time_bound
 from ihc_fmu.design import Design
+from ihc_fmu.synthesis import Options, inverse_design
 from ihc_fmu.system import System
 from tests.ihc_fmu.conftest import chain_of
 
@@ -153,3 +156,38 @@ def test_dilation_of_another_system_breaks_the_identities(design):
     object.__setattr__(other, "form", block_form(damped, design.B))
     with pytest.raises(CertificateError, match=r"= -mu A_0 and G_d b = b fail: relative residual .*, allowed 1e-08"):
         certify(other)
+
+
+def largest_proven(design):
+    """Return the largest alpha that P proves, (A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d) <= 0, in 40 digits."""
+    with mpmath.workdps(40):
+        A, B, K, P, G = (
+            mpmath.matrix(M.tolist()) for M in (design.A, design.B, design.K, design.P, generator_of(design))
+        )
+        closed, monotone = P * (A + B * K), P * G
+        L = mpmath.inverse(mpmath.cholesky(monotone + monotone.T))
+        return float(min(mpmath.eigsy(-L * (closed + closed.T) * L.T, eigvals_only=True)))
+
+
+def generator_of(design):
+    return design.form.generator(design.mu)
+
+
+@pytest.mark.parametrize("seed", [5, 9, 13, 31, 38])
+def test_one_part_in_a_billion_beyond_the_proof_is_refused(seed):
+    """Two and three inputs: alpha, or a gain, wrong by 1e-9 of what P proves; as much within it is accepted."""
+    case = drawn(seed, units=False)
+    found = inverse_design(case.system, Options(alpha=case.alpha, u_max=case.u_max.tolist()))
+    alpha = largest_proven(found)
+    assert found.alpha < alpha
+    assert replace(found, alpha=alpha * (1 - 1e-9)).certificate.decrease > 0.0
+    with pytest.raises(CertificateError, match="<= 0 fails: margin"):
+        replace(found, alpha=alpha * (1 + 1e-9))
+
+
+def test_margin_of_zero_is_refused_and_the_next_number_is_not():
+    """x' = u in the plane, u = -3 x, P = I: 6 - 2 alpha must be positive, decided for the doubles as they are."""
+    plane = System(A=np.zeros((2, 2)), B=np.eye(2), K=-3.0 * np.eye(2))
+    assert Design(plane, np.eye(2), mu=1.0, alpha=float(np.nextafter(3.0, 0.0))).certificate.decrease > 0.0
+    with pytest.raises(CertificateError, match=r"<= 0 fails: margin .* must be positive"):
+        Design(plane, np.eye(2), mu=1.0, alpha=3.0)

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
+from benchmarks.random_systems import drawn
 from fmu_export.errors import UserError
-from ihc_fmu.certificate import CertificateError
+from ihc_fmu.certificate import CertificateError, settling_time_bound
 from ihc_fmu.companion import chain_form, generator
 from ihc_fmu.design import Design
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.start_values import default_design
-from ihc_fmu.synthesis import Options, direct_design, inverse_design, largest_alpha
+from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha
 from ihc_fmu.system import System
 from tests.ihc_fmu.conftest import chain_of
 
@@ -194,3 +195,97 @@ def test_a_design_does_not_depend_on_those_before_it():
         inverse_design(default.system, Options(mu=mu, alpha=default.alpha)) for mu in (1.0, 0.5, 1.0)
     )
     assert first.to_json() == again.to_json() != other.to_json()
+
+
+# Any order, number of inputs and units
+
+DRAWN = (1, 5, 9, 11, 12, 13, 19, 25, 27, 31, 36, 38)
+"""Seeds of n = 2..8, m = 1..3, all three kinds of systems and both of gains, with a largest unit ball for their alpha."""
+
+
+def designed(method, case):
+    design = method(case.system, Options(alpha=case.alpha, u_max=case.u_max.tolist()))
+    assert "not maximized" not in design.method
+    return design
+
+
+@pytest.mark.parametrize("method", [inverse_design, direct_design])
+@pytest.mark.parametrize("seed", DRAWN)
+def test_units_of_states_inputs_and_time_do_not_matter(method, seed):
+    """States and inputs in units of 1e-4..1e4, time of 1e-3..1e3: the same design, certified, its bound reached."""
+    here, plain = drawn(seed), drawn(seed, units=False)
+    d, e = designed(method, here), designed(method, plain)
+    for design, case in ((d, here), (e, plain)):
+        assert (design.u_max / case.u_max).max() == pytest.approx(1.0, rel=1e-3)
+        assert design.certificate.decrease > 0.0
+    whitened = np.linalg.inv(np.linalg.cholesky(e.P))
+    same = whitened @ (here.units[:, None] * d.P * here.units) @ whitened.T
+    np.testing.assert_allclose(same, np.eye(d.n), atol=1e-3)
+    x = np.random.default_rng(seed).normal(size=d.n)
+    in_time = settling_time_bound(d, here.units * x) * here.omega
+    assert in_time == pytest.approx(settling_time_bound(e, x), rel=1e-3)
+    poles = [np.sort_complex(np.linalg.eigvals(f.A + f.B @ f.K) / rate) for f, rate in ((d, here.omega), (e, 1.0))]
+    np.testing.assert_allclose(poles[0], poles[1], rtol=1e-2)
+
+
+@pytest.mark.parametrize("alpha", [0.001, 0.1, 10.0, 100.0])
+def test_direct_design_serves_any_rate(paper, alpha):
+    """Five decades of alpha for the pendulum, whose own fastest pole is at 16 1/s."""
+    A, b, _ = paper
+    design = direct_design(system(A, b), Options(alpha=alpha, u_max=10.0))
+    assert design.alpha == alpha
+    assert design.u_max <= 10.0 * (1 + 1e-3)
+    assert design.certificate.hurwitz > alpha  # every w_i is at least 1
+
+
+def test_bound_of_each_input_is_kept(rotorcraft_like):
+    """Of several bounds each holds, and one is reached."""
+    bounds = np.array([0.5, 20.0])
+    design = inverse_design(rotorcraft_like, Options(alpha=0.05, u_max=bounds.tolist()))
+    assert (design.u_max <= bounds * (1 + 1e-6)).all()
+    assert (design.u_max / bounds).max() == pytest.approx(1.0, rel=1e-3)
+    with pytest.raises(UserError, match="u_max must be a number or 2 numbers, one for each input, found 3"):
+        inverse_design(rotorcraft_like, Options(u_max=[1.0, 2.0, 3.0]))
+
+
+@pytest.fixture
+def rotorcraft_like():
+    """Two chains of two and three integrators that pull at each other."""
+    A = np.eye(5, k=1) - np.eye(5)[:, [2]] @ np.eye(5)[[1]] + 0.1 * np.ones((5, 5))
+    B = np.zeros((5, 2))
+    B[1, 0] = B[4, 1] = 1.0
+    return System(A=A, B=B).with_lqr(np.ones(5), np.ones(2))
+
+
+# Options that nobody gave
+
+
+def test_options_are_chosen_from_the_system_with_reasons(paper):
+    limited = system(*paper).changed(lower=[-10.0], upper=[6.0], u_eq=[1.0])
+    choice = chosen_options(limited)
+    assert choice.options.mu == 1.0
+    assert choice.options.alpha == pytest.approx(0.2715 / 2, rel=0.02)
+    assert choice.options.u_max == [2.5]  # half of 6 - 1
+    assert [reason.split(" ")[0] for reason in choice.reasons] == ["mu", "alpha", "u_max"]
+    assert choice.reasons[2].startswith("u_max = 2.5: ")
+    assert inverse_design(limited, choice.options).u_max == pytest.approx(2.5, rel=1e-3)
+
+
+def test_degree_is_lowered_for_an_alpha_that_the_highest_one_does_not_allow(paper):
+    """The largest alpha is 0.27 at mu = 1, 0.33 at 0.75, 0.44 at 0.5, 0.63 at 0.25."""
+    assert chosen_options(system(*paper), alpha=0.4).options.mu == 0.5
+    assert chosen_options(system(*paper), alpha=0.2).options.mu == 1.0
+
+
+def test_what_is_given_stays(paper):
+    choice = chosen_options(system(*paper), mu=0.5, alpha=0.1, u_max=[3.0], beta=0.2)
+    assert choice.options == Options(mu=0.5, alpha=0.1, u_max=[3.0], beta=0.2)
+    assert choice.reasons == ()
+    assert chosen_options(system(*paper), mu=1.0, alpha=0.1, delta_max=0.1).options.u_max is None
+
+
+def test_search_tells_how_it_goes(paper):
+    said = []
+    inverse_design(system(*paper), Options(), said.append)
+    assert said
+    assert all(line.startswith("at mu = ") for line in said)

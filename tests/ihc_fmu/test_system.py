@@ -104,7 +104,7 @@ def test_names_carry_units(text, name, unit):
         ({"deviations": [float("inf"), 0]}, "deviations must be finite, found inf"),
         ({"sample_time": 0}, "sample_time must be positive and finite [s], found 0.0"),
         ({"sample_time": "1 ms"}, "sample_time must be a number, found '1 ms'"),
-        ({"bandwidth": -1}, "bandwidth must be positive and finite [rad/s], found -1.0"),
+        ({"bandwidth": -1}, "bandwidth must be 0 or more and finite [rad/s], found -1.0"),
         ({"set_points": ["x3"]}, "set_points must name outputs, found 'x3'"),
         ({"biases": ["x1", "x1"]}, "biases must have different names, found 'x1' twice"),
         ({"equilibrium": {"state": [0]}}, "equilibrium must be a table of states, inputs, outputs, found {'state': [0]}"),
