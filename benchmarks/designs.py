@@ -65,7 +65,7 @@ def designed(case: Drawn, design: Callable[..., Design]) -> tuple[str, Design | 
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--systems", type=int, default=300)
     parser.add_argument("--first", type=int, default=0, help="seed of the first system")
     parser.add_argument("--orders", type=int, nargs="*", default=[10, 12, 16], help="orders beyond 8 that are timed")

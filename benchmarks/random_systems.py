@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_are
@@ -81,7 +82,8 @@ def _gain(rng: np.random.Generator, gain: str, A: Array, B: Array) -> Array | No
         else:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # how robust the gain is does not matter here
-                K = -place_poles(A, B, poles).gain_matrix
+                placed: Any = place_poles(A, B, poles)
+            K = -placed.gain_matrix
     except (UserError, LinAlgError, ValueError):
         return None
     return K if np.linalg.eigvals(A + B @ K).real.max() < -NEAR else None

@@ -52,7 +52,7 @@ def recheck(design: Design) -> Recheck:
             decrease=-float(max(_eigenvalues(closed))),
             monotone=float(min(_eigenvalues(G_y))),
             identities=identities,
-            generator=float(mpmath.mnorm(given - G_y, "f") / mpmath.mnorm(G_y, "f")),
+            generator=float(mpmath.norm(given - G_y) / mpmath.norm(G_y)),
         )
 
 
@@ -83,7 +83,8 @@ def _block_form(A: Any, B: Any, sizes: tuple[int, ...], s: Scaling) -> tuple[Any
 
 def _staircase(A: Any, B: Any, sizes: tuple[int, ...]) -> Any:
     """Return the orthogonal staircase's T."""
-    rest, reached, bases = mpmath.eye(A.rows), B, []
+    rest: Any = mpmath.eye(A.rows)
+    reached, bases = B, []
     for size in reversed(sizes):
         projected = rest.T * reached
         U, _, _ = mpmath.svd_r(_widened(projected), full_matrices=False)

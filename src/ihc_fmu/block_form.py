@@ -161,8 +161,8 @@ def _staircase(A: Array, B: Array, units: Array, names: Sequence[str]) -> list[A
 
 def _simple(basis: Array, units: Array) -> Array:
     """Return a combination of the columns of an orthonormal basis that leaves out as many states as the columns allow."""
-    pivots = qr(basis.T, mode="r", pivoting=True)[1][: basis.shape[1]]
-    reduced = basis @ np.linalg.inv(basis[pivots])
+    *_, pivots = qr(basis.T, mode="r", pivoting=True)
+    reduced = basis @ np.linalg.inv(basis[pivots[: basis.shape[1]]])
     fewest = int(np.argmin((np.abs(reduced) > RANK).sum(axis=0)))
     return np.where(np.abs(reduced[:, fewest]) > RANK, reduced[:, fewest], 0.0) / units
 

@@ -13,6 +13,10 @@ from tests.ihc_fmu.reference import SYSTEMS
 SHAPES = [(1, 1), (4, 1), (4, 2), (5, 2), (6, 3), (8, 3), (8, 1), (12, 4), (16, 8)]
 
 
+def norm(M):
+    return float(np.linalg.norm(M))
+
+
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_gain_and_dilation_are_those_of_the_authors_toolbox(name):
     """With the toolbox's metric, that of the given units; its G_d is I + degree G0, and minus its degree is mu."""
@@ -36,8 +40,8 @@ def test_form_is_what_it_says(n, m):
     assert list(form.sizes) == sorted(form.sizes)
     A_0 = s.A + s.B @ form.K_0
     np.testing.assert_allclose(form.T @ form.T_inverse, np.eye(n), atol=1e-10)
-    np.testing.assert_allclose(form.T @ A_0 @ form.T_inverse, form.N, atol=1e-9 * np.linalg.norm(s.A))
-    np.testing.assert_allclose(form.T @ s.B, form.Bz, atol=1e-10 * np.linalg.norm(s.B))
+    np.testing.assert_allclose(form.T @ A_0 @ form.T_inverse, form.N, atol=1e-9 * norm(s.A))
+    np.testing.assert_allclose(form.T @ s.B, form.Bz, atol=1e-10 * norm(s.B))
     elsewhere = form.N.copy()
     for here, following in pairwise(form.blocks):
         elsewhere[here, following] = 0.0
@@ -54,9 +58,9 @@ def test_dilation_makes_the_nilpotent_part_homogeneous(n, m, mu):
     s = random_system(n, m, seed=1)
     form = block_form(s.A, s.B)
     A_0, G = s.A + s.B @ form.K_0, form.generator(mu)
-    size = np.linalg.norm(s.A) + np.linalg.norm(s.B @ form.K_0)
+    size = norm(s.A) + norm(s.B @ form.K_0)
     np.testing.assert_allclose(A_0 @ G - G @ A_0, -mu * A_0, atol=1e-9 * size)
-    np.testing.assert_allclose(G @ s.B, s.B, atol=1e-9 * np.linalg.norm(s.B))
+    np.testing.assert_allclose(G @ s.B, s.B, atol=1e-9 * norm(s.B))
     np.testing.assert_allclose(np.linalg.matrix_power(A_0 / size, len(form.sizes)), 0.0, atol=1e-10)
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(G).real), np.sort(1 + mu * np.array(s.e)), atol=1e-8)
 
@@ -69,7 +73,7 @@ def test_units_of_states_inputs_and_time_change_nothing(n, m, seed):
     X, U, omega = 10.0 ** rng.uniform(-4, 4, n), 10.0 ** rng.uniform(-4, 4, m), 10.0 ** rng.uniform(-3, 3)
     form = block_form(s.A, s.B)
     other = block_form(omega * s.A * X / X[:, None], omega * s.B * U / X[:, None])
-    size = np.linalg.norm(form.K_0)
+    size = norm(form.K_0)
     assert other.sizes == form.sizes
     np.testing.assert_allclose(other.K_0 * U[:, None] / X, form.K_0, rtol=1e-7, atol=1e-7 * size)
     np.testing.assert_allclose(X[:, None] * other.generator(1.0) / X, form.generator(1.0), rtol=1e-7, atol=1e-7)

@@ -13,11 +13,12 @@ from ihc_fmu.pendulum.nominal_model import nominal_model
 from ihc_fmu.pendulum.paper_system import PAPER_K_LIN
 from ihc_fmu.pendulum.start_values import nominal_values
 from ihc_fmu.synthesis import Options, inverse_design
-from ihc_fmu.system import System
+from ihc_fmu.system import Quantity, System
 from plant_fmu.parameters import PARAMETER_SETS
 from tests.ihc_fmu.pendulum.test_kalman import PUBLISHED_M
 
 COUNT = 2 * np.pi / 2048
+PUMPS = (Quantity("left"), Quantity("right"))
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +30,7 @@ def pendulum():
         B=b,
         C=np.eye(2, 4),
         K=np.array(PAPER_K_LIN),
-        outputs=("theta", "delta"),
+        outputs=(Quantity("theta", "rad"), Quantity("delta", "rad")),
         resolutions=np.full(2, COUNT),
         biases=("delta",),
     )
@@ -84,7 +85,7 @@ def test_disturbance_is_estimated_with_the_bandwidth_whatever_the_mass_and_the_s
 
 def test_disturbances_are_left_out_on_demand():
     """Two pumps of one tank: which of them leaks cannot be told from the level; without disturbances there is a filter."""
-    tank = System(name="tank", A=np.zeros((1, 1)), B=np.ones((1, 2)), K=-np.ones((2, 1)), inputs=("left", "right"))
+    tank = System(name="tank", A=np.zeros((1, 1)), B=np.ones((1, 2)), K=-np.ones((2, 1)), inputs=PUMPS)
     with pytest.raises(UserError) as refusal:
         estimator(Design(tank, np.eye(1), mu=1.0, alpha=0.1))
     assert str(refusal.value) == (

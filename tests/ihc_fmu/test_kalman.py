@@ -1,6 +1,7 @@
 """The Kalman filter of any model: closed forms, SciPy, the recursion's limit; what is left out, what is refused."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def noise(m, p, **changes):
     return Noise(**{key: np.asarray(value).tolist() for key, value in (values | changes).items()})
 
 
-def whole(A, B, C, w):
+def whole(A, B, C, w) -> Any:
     """Return F, the intensity of its noise and C of the states, disturbances and biases together."""
     (n, m), p = B.shape, len(C)
     F = block_diag(A, np.zeros((m, m)), -w.leak * np.eye(p))
@@ -43,7 +44,7 @@ def test_gain_is_that_of_the_riccati_equation(n, m, p):
     F, Q, seen = whole(A, B, C, w)
     F, Q, seen = F[np.ix_(kept, kept)], Q[np.ix_(kept, kept)], seen[:, kept]
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    Q_h = sum(
+    Q_h: Any = sum(
         0.5 * H * c * expm(F * t) @ Q @ expm(F * t).T for t, c in zip(0.5 * H * (nodes + 1), weights, strict=True)
     )
     R = np.diag(w.outputs)

@@ -1,5 +1,7 @@
 """The homotopy finds what exists, and the dual refutes what does not."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -71,7 +73,9 @@ def test_bad_coordinates_refute_nothing():
 def test_a_part_of_a_system_is_refuted_though_another_is_feasible():
     """Two chains side by side, a slow one and a fast one, for an alpha that only the fast one allows."""
     slow, fast = chain(2, "equal"), chain(3, "equal")
-    both = Problem(block_diag(slow.closed, 4.0 * fast.closed), block_diag(slow.E + np.eye(2), fast.E), np.eye(5), 0.1)
+    closed: Any = block_diag(slow.closed, 4.0 * fast.closed)
+    E: Any = block_diag(slow.E + np.eye(2), fast.E)
+    both = Problem(closed, E, np.eye(5), 0.1)
     assert search(both, 1.0, 0.02, Limit(20.0)).complete
     found = search(both, 1.0, 0.9, Limit(20.0))
     assert not found.complete

@@ -239,9 +239,8 @@ def test_change_of_the_outputs_forgets_what_was_about_them():
 def test_regulator_of_a_double_integrator_has_its_closed_form():
     """Q = diag(q, 0), R = r: K = -(sqrt(q/r), sqrt(2 sqrt(q/r)))."""
     s = System(A=np.eye(2, k=1), B=np.array([0.0, 1.0]))
-    np.testing.assert_allclose(
-        s.with_lqr(np.array([16.0, 0.0]), np.array([1.0])).K, [[-4.0, -np.sqrt(8.0)]], rtol=1e-12
-    )
+    K: Any = s.with_lqr(np.array([16.0, 0.0]), np.array([1.0])).K
+    np.testing.assert_allclose(K, [[-4.0, -np.sqrt(8.0)]], rtol=1e-12)
 
 
 def test_regulator_solves_its_riccati_equation():
@@ -249,7 +248,7 @@ def test_regulator_solves_its_riccati_equation():
     s = System(A=rng.normal(size=(5, 5)), B=rng.normal(size=(5, 2)))
     L, M = rng.normal(size=(5, 5)), rng.normal(size=(2, 2))
     Q, R = L @ L.T, M @ M.T + np.eye(2)
-    K = s.with_lqr(Q, R).K
+    K: Any = s.with_lqr(Q, R).K
     np.testing.assert_allclose(K, -np.linalg.solve(R, s.B.T @ solve_continuous_are(s.A, s.B, Q, R)), rtol=1e-9)
     file = from_dict({"A": s.A.tolist(), "B": s.B.tolist(), "lqr": {"Q": Q.tolist(), "R": R.tolist()}})
     np.testing.assert_array_equal(file.K, K)
