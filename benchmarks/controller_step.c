@@ -1,6 +1,6 @@
 /* What a sample of the controller costs: the whole step with each law, and the laws alone.
  *
- * The header start_values.h with LC, ALGORITHM1 and EXACT, the start values with each law, is generated.
+ * The header start_values.h with LC, ALGORITHM1, EXACT, MEASURED and KALMAN, the start values of each, is generated.
  */
 #include "ihc_controller.h"
 #include "start_values.h"
@@ -9,23 +9,26 @@
 
 enum { N = IHC_ORDER };
 
-static const ihc_params *const PARAMETERS[] = {&LC, &ALGORITHM1, &EXACT};
+static const ihc_params *const PARAMETERS[] = {&LC, &ALGORITHM1, &EXACT, &MEASURED, &KALMAN};
 
-/* Whole samples on `count` measured angles [rad]; returns how many were in the stabilizing mode, -1 on failure. */
-EXPORTED long whole_steps(int law, const double *theta, const double *delta, long count)
+/* Whole samples on `count` measured states, of which only MEASURED uses the velocities; returns how many were in the
+ * stabilizing mode, -1 on failure. */
+EXPORTED long whole_steps(int variant, const double (*x)[N], long count)
 {
-    const ihc_params *p = PARAMETERS[law];
+    const ihc_params *p = PARAMETERS[variant];
     ihc_prepared prepared;
     ihc_state state;
-    ihc_inputs u = {theta[0], delta[0], 0.0, 0.0, 0.0};
+    ihc_inputs u = {x[0][0], x[0][1], x[0][2], x[0][3], 0.0};
     long stabilizing = 0;
     if (ihc_prepare(p, &prepared) != IHC_OK) {
         return -1;
     }
     ihc_initialize(p, &prepared, &state, 0.0, &u);
     for (long k = 0; k < count; k++) {
-        u.theta = theta[k];
-        u.delta = delta[k];
+        u.theta = x[k][0];
+        u.delta = x[k][1];
+        u.theta_dot = x[k][2];
+        u.delta_dot = x[k][3];
         if (ihc_step(p, &prepared, &state, (double)k * p->sample_time, p->sample_time, &u) > IHC_NEW_FAULT) {
             return -1;
         }

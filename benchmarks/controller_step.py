@@ -19,16 +19,22 @@ from fmu_export.native_unit import struct_initializer
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.interface import MODES
 from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
+from ihc_fmu.pendulum.start_values import kalman_values
 
 SMALL_A_MIN = 0.1
 """An a_min that lets Algorithm 1 follow the norm near the origin, so that it bisects."""
 
+AS_THE_GENERAL_ONE = {"norm_solver": "exact", "discretization": "semi_implicit"}
+"""How the controller of any linear model is by default."""
+
 VARIANTS = {
-    "LC": ("LC", "algorithm1"),
-    "ALGORITHM1": ("IHC", "algorithm1"),
-    "EXACT": ("IHC", "exact"),
+    "LC": {"law": "LC", "norm_solver": "algorithm1"},
+    "ALGORITHM1": {"law": "IHC", "norm_solver": "algorithm1"},
+    "EXACT": {"law": "IHC", "norm_solver": "exact"},
+    "MEASURED": {"law": "IHC", **AS_THE_GENERAL_ONE, "velocity_source": "inputs"},
+    "KALMAN": {"law": "IHC", **AS_THE_GENERAL_ONE, "velocity_source": "kalman"},
 }
-"""Names in the C program, and what each has for `law` and `norm_solver`."""
+"""Names in the C program, and what each has besides the start values."""
 
 
 class ControllerStep:
@@ -37,13 +43,14 @@ class ControllerStep:
     def __init__(self, controller: Mapping[str, Value], rows: np.ndarray) -> None:
         """Take `rows` from `Monolithic.run`; the samples in the stabilizing mode are used."""
         self._library = _library(controller)
-        self.a_min = float(CONTROLLER.interface.start_values(controller)["a_min"])
+        values = CONTROLLER.interface.start_values(controller)
+        self.a_min, self.sample_time = float(values["a_min"]), float(values["sample_time"])
         stabilizing = rows["controller.mode"][1:] == MODES.index("stabilizing") + 1
         measured, estimated = rows[:-1][stabilizing], rows[1:][stabilizing]  # a sample is made of the row before
         self.count = len(measured)
-        self._theta, self._delta = (np.ascontiguousarray(measured[f"plant.{n}_encoder"]) for n in ("theta", "delta"))
+        angles = [measured[f"plant.{name}_encoder"] for name in ("theta", "delta")]
         velocities = [estimated[f"controller.{name}_dot_estimate"] for name in ("theta", "delta")]
-        self._x = np.column_stack([self._theta, self._delta, *velocities])
+        self.x = np.ascontiguousarray(np.column_stack([*angles, *velocities]))
         self._norm = estimated["controller.homogeneous_norm"]
 
     @property
@@ -67,9 +74,16 @@ class ControllerStep:
             f"bare law, IHC, exact norm, a_min {a_min:g}": lambda: self._bare("exact_law", a_min),
         }
 
-    def _whole(self, law: int) -> float:
+    def twins(self) -> dict[str, Callable[[], float]]:
+        """Return whole steps with what the controller of any linear model does too."""
+        return {
+            "IhcController, velocities measured": lambda: self._whole(3),
+            "IhcController, Kalman filter": lambda: self._whole(4),
+        }
+
+    def _whole(self, variant: int) -> float:
         start = time.perf_counter()
-        stabilizing = self._library.whole_steps(law, self._theta.ctypes.data, self._delta.ctypes.data, self.count)
+        stabilizing = self._library.whole_steps(variant, self.x.ctypes.data, self.count)
         seconds = time.perf_counter() - start
         if stabilizing < self.count - 1:  # the first sample may decide to capture
             raise RuntimeError(f"only {stabilizing} of {self.count} samples were in the stabilizing mode")
@@ -77,7 +91,7 @@ class ControllerStep:
 
     def _bare(self, name: str, *a_min: float) -> float:
         start = time.perf_counter()
-        total = getattr(self._library, name)(self._x.ctypes.data, self.count, *a_min)
+        total = getattr(self._library, name)(self.x.ctypes.data, self.count, *a_min)
         seconds = time.perf_counter() - start
         if not np.isfinite(total) or total == 0.0:
             raise RuntimeError(f"{name} returned {total}")
@@ -86,8 +100,9 @@ class ControllerStep:
 
 def _library(controller: Mapping[str, Value]) -> ctypes.CDLL:
     header = '#include <math.h>\n#include "ihc_controller.h"\n#pragma clang diagnostic ignored "-Wmissing-braces"\n'
-    for name, (law, solver) in VARIANTS.items():
-        values = CONTROLLER.interface.start_values({**controller, "law": law, "norm_solver": solver})
+    kalman = kalman_values(controller, float(controller["sample_time"]))
+    for name, changes in VARIANTS.items():
+        values = CONTROLLER.interface.start_values({**controller, **kalman, **changes})
         header += f"static const ihc_params {name} = {struct_initializer(CONTROLLER, values)};\n"
     files = dict(CONTROLLER.core)
     files["controller_step.c"] = Path(__file__).with_name("controller_step.c").read_bytes()
@@ -97,7 +112,7 @@ def _library(controller: Mapping[str, Value]) -> ctypes.CDLL:
         path = Path(folder) / f"controller_step{platform.suffix}"
         path.write_bytes(build_library(files, "controller_step", platform))
         library = ctypes.CDLL(str(path))
-    library.whole_steps.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_long]
+    library.whole_steps.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_long]
     library.whole_steps.restype = ctypes.c_long
     library.linear_law.argtypes = [ctypes.c_void_p, ctypes.c_long]
     for call in (library.algorithm1_law, library.exact_law):

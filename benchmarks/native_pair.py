@@ -9,7 +9,8 @@ Measured:
    figures of a round together. Each tool also has to end, after 5,000 steps, where this project's master ends in the same
    coupling order; the table has the distance.
 2. A run's fixed cost: runs of 10 steps, ms per run.
-3. A sample of the controller in C: IHC against LC, the whole step and the bare laws (controller_step.py).
+3. A sample of the controller in C: IHC against LC, the whole step and the bare laws (controller_step.py); the controller
+   of any linear model against it, and over the size of the design (regulator_step.py).
 4. The process `qube-ihc run swing_up --set run.step=1e-4 --set run.duration=10 --no-plot` and its parts.
 
 The other tools are optional: pip install libcosimpy ecospy tbb fmu-manipulation-toolbox. One that is missing is named and
@@ -30,10 +31,14 @@ from time import perf_counter
 
 from benchmarks.controller_step import ControllerStep
 from benchmarks.monolithic import Monolithic
+from benchmarks.regulator_step import RegulatorStep, pendulum_cases, random_cases
 from benchmarks.run_costs import WholeRun, campaign, seconds, short_runs
 from benchmarks.tools import MONOLITHIC, NATIVE, STEP, TOOLS, NotInstalledError, Pair, Tool, export_pair, reference
+from ihc_fmu.pendulum.start_values import default_design
 
 CHECK_STEPS = 5_000
+SAMPLES = 5_000
+"""Of each larger design."""
 CLOSE = 1e-9
 """Largest distance after CHECK_STEPS that rounding may explain [rad]."""
 
@@ -241,6 +246,27 @@ def print_controller(pair: Pair, steps: int, rounds: int) -> None:
         base = next(v for n, v in found.items() if n.split(",")[0] == name.split(",")[0])
         lines.append([name, spread(values), ratio(values, base)])
     print_table(["what", "ns", "min..max", "/ LC"], lines)
+    print_general_controller(program, max(rounds, 5))
+
+
+def print_general_controller(program: ControllerStep, rounds: int) -> None:
+    """Print ns per sample of HomogeneousController beside IhcController, and over the size of the design."""
+    say("compiling the general controller's step")
+    pendulum = RegulatorStep(pendulum_cases(default_design(), program.sample_time, program.x))
+    found = in_turns(program.twins() | pendulum.cases(), rounds, "general controller")
+    (measured, kalman), (general, general_kalman) = list(found)[:2], list(found)[2:]
+    print(f"\nOne sample of both controllers, exact norm, semi-implicit, {rounds} rounds in turns")
+    bases = {measured: measured, kalman: kalman, general: measured, general_kalman: kalman}
+    rows = [[name, spread(found[name]), ratio(found[name], found[base])] for name, base in bases.items()]
+    print_table(["what", "ns", "min..max", "/ IhcController"], rows)
+    grown = in_turns(RegulatorStep(random_cases(SAMPLES)).cases(), rounds, "sizes")
+    print(
+        f"\nOne sample of HomogeneousController, states measured, by the size of the design, {rounds} rounds in turns"
+    )
+    base = grown["n 4, m 1"]
+    print_table(
+        ["design", "ns", "min..max", "/ n 4, m 1"], [[name, spread(v), ratio(v, base)] for name, v in grown.items()]
+    )
 
 
 # ---- 4. Many runs ----------------------------------------------------------------------------------------------------
