@@ -69,7 +69,8 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]
 def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> UserError:
     """Return the error with what is possible instead."""
     if wish.psi or wish.d_max or wish.alpha is None:
-        return UserError(f"{error}; a smaller --mu, or --method direct, may have a solution")
+        smaller = "" if wish.mu is None else "a smaller --mu, or "
+        return UserError(f"{error}; {smaller}--method direct may have a solution")
     mu = 1.0 if wish.mu is None else wish.mu
     try:
         largest = largest_alpha(system, mu, say=say)

@@ -15,6 +15,8 @@ FASTER = 3.0
 """Of the disturbance's estimate than the fastest pole of the closed loop, where no bandwidth is given."""
 MOST_PER_SAMPLE = 0.3
 """Largest bandwidth that is chosen, times the sample time [rad]."""
+MOST_JUMP = 0.1
+"""Of the room within the limits: a chosen bandwidth is lowered until a count of a sensor moves no command by more."""
 NOISE_FREE = 1e-4
 """Deviation of an output whose sensor nobody described, relative to its extent on the unit ball."""
 BIAS_RATE = 4.0
@@ -32,14 +34,41 @@ def estimator(design: Design) -> KalmanDesign:
     names = [q.name for q in s.states] + [f"the disturbance of {q.name}" for q in s.inputs]
     names += [f"the bias of {q.name}" for q in s.outputs]
     try:
-        return kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design), names)
+        *faster, slowest = _bandwidths(design)
+        for omega in faster:
+            found = kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design, omega), names)
+            if jump(design, found) <= MOST_JUMP:
+                return found
+        return kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design, slowest), names)
     except UserError as error:
         hint = "; bandwidth = 0 in the system leaves the disturbances out" if s.bandwidth != 0.0 else ""
         raise UserError(f"{s.name} has no Kalman filter: {error}{hint}") from None
 
 
-def noise(design: Design) -> Noise:
-    """Return the noises of the filter.
+def jump(design: Design, found: KalmanDesign) -> float:
+    """Return by how much a step of a sensor's resolution, or three deviations, moves a command, relative to its room.
+
+    The room is half of what the limits leave; 0 without limits or where no sensor is described.
+    """
+    s = design.system
+    room = np.asarray(s.upper) - np.asarray(s.lower)
+    size = np.maximum(np.asarray(s.resolutions), 3.0 * np.asarray(s.deviations))
+    moved = np.abs(design.K @ found.M[: s.n] - found.M[s.n : s.n + s.m]) * size
+    return float((moved.max(axis=1) / (0.5 * room)).max())
+
+
+def _bandwidths(design: Design) -> list[float]:
+    """Return the bandwidths to try, from the wanted one down to the slowest pole's rate."""
+    first = bandwidth(design)
+    if design.system.bandwidth is not None:
+        return [first]
+    slowest = -float(np.linalg.eigvals(design.A + design.B @ design.K).real.max())
+    count = max(1, int(np.ceil(np.log2(max(first / slowest, 1.0)))) + 1)
+    return [first / 2.0**i for i in range(count)]
+
+
+def noise(design: Design, omega: float | None = None) -> Noise:
+    """Return the noises of the filter, for the bandwidth omega [rad/s] of the disturbances' estimate, None: the wanted one.
 
     A sample's variance is deviation^2 + resolution^2/12, for a sensor without both NOISE_FREE of its extent. The intensity
     of disturbance i makes its estimate as fast as the bandwidth omega, as if nothing else moved the system: an output that
@@ -48,7 +77,7 @@ def noise(design: Design) -> Noise:
     """
     s = design.system
     variances = _variances(design)
-    omega = bandwidth(design)
+    omega = bandwidth(design) if omega is None else omega
     density = variances * s.sample_time
     powers = _intensities(design, density, max(omega, 1e-300) if s.bandwidth != 0.0 else _fastest(design))
     return Noise(
@@ -61,7 +90,7 @@ def noise(design: Design) -> Noise:
 
 
 def bandwidth(design: Design) -> float:
-    """Return the bandwidth [rad/s] of the disturbances' estimate, 0 where they are not estimated."""
+    """Return the wanted bandwidth [rad/s] of the disturbances' estimate, 0 where they are not estimated."""
     s = design.system
     if s.bandwidth is not None:
         return s.bandwidth

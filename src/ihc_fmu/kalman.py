@@ -85,6 +85,9 @@ def kalman_filter(
     Q += np.diag([0.0] * n + [*noise.disturbances, *noise.biases])
     seen = np.hstack([C, np.zeros((p, m)), np.eye(p)])
     which = np.ix_(kept, kept)
+    if len(kept) - n > p:
+        count = len(kept) - n
+        raise UserError(f"{count} disturbances and biases cannot be told from {p} measured outputs")
     chosen = () if names is None else [str(names[i]) for i in kept]
     _check_detectable(F[which], seen[:, kept], chosen)
     M = np.zeros((n + m + p, p))

@@ -245,6 +245,7 @@ def shown_interface(shape: Shape) -> Interface:
             *_named(shape.outputs, "bias_estimate", "{}_bias_estimate", "bias of the measured {}", shape.biases),
             table["compensate_disturbance"],
         ]
+    _check_names([v.name for v in variables], shape.name)
     place = {v.name: i for i, v in enumerate(INTERFACE.variables)}
     variables.sort(key=lambda v: place[v.compiled])
     return INTERFACE.showing(
@@ -257,6 +258,16 @@ _SHARED = (
     *("discretization", "enabled", "sample_time", "mu"),
 )
 """Variables that every FMU shows, under the table's names."""
+
+
+def _check_names(names: Sequence[str], system: str) -> None:
+    """Raise UserError for a name of the system that the FMU gives to something else."""
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UserError(
+            f"the controller of {system} has a variable named {twice[0]!r} of its own; the state, input or output that "
+            "needs this name must get another"
+        )
 
 
 def _named(

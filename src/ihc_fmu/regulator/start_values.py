@@ -11,6 +11,7 @@ import numpy as np
 from fmu_export.errors import UserError
 from fmu_export.variables import Interface, Value
 
+from ..block_form import scaling
 from ..design import Design
 from .interface import ESTIMATORS, UNLIMITED, Shape, numbered, shown_interface
 
@@ -229,11 +230,16 @@ def set_point_matrices(A: Array, B: Array, C: Array, chosen: Collection[int]) ->
     """
     (n, m), p = B.shape, len(C)
     rows = sorted(chosen)
-    M = np.block([[A, B], [C[rows], np.zeros((len(rows), m))]])
+    s = scaling(A, B)
+    A_s, B_s = A * s.states / s.states[:, None] / s.omega, B * s.inputs / s.states[:, None] / s.omega
+    C_s = C[rows] * s.states
+    sizes = np.maximum(np.abs(C_s).max(axis=1, initial=0.0), 1e-300)
+    M = np.block([[A_s, B_s], [C_s / sizes[:, None], np.zeros((len(rows), m))]])
     wanted = np.vstack([np.zeros((n, len(rows))), np.eye(len(rows))])
-    found = np.linalg.lstsq(M, wanted, rcond=None)[0]
-    if np.abs(M @ found - wanted).max(initial=0.0) > 1e-6:
+    found = np.linalg.lstsq(M, wanted, rcond=1e-12)[0]
+    if np.abs(M @ found - wanted).max(initial=0.0) > 1e-8:
         raise UserError("the outputs with set-points cannot be held at any values: there is no such equilibrium")
+    found = found / sizes * np.concatenate([s.states, s.inputs])[:, None]
     N = np.zeros((n + m, p))
     N[:, rows] = found
     return N[:n], N[n:]
