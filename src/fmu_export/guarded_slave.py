@@ -29,7 +29,7 @@ from .errors import UserError
 from .shown import Showing
 from .variables import Interface, Value, Variable
 
-STATE_FORMAT = 2
+STATE_FORMAT = 3
 MANIFEST = "manifest.json"
 
 _finalized: set[str] = set()
@@ -138,7 +138,9 @@ class GuardedSlave(Fmi2Slave):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         resources = Path(str(self.resources))
-        manifest = json.loads((resources / MANIFEST).read_text(encoding="utf-8"))
+        text = (resources / MANIFEST).read_bytes()
+        manifest = json.loads(text)
+        self._identity = hashlib.sha256(text).hexdigest()[:16]  # of code, interface and start values
         sys.path[:] = [entry for entry in sys.path if entry != str(self.resources)]  # the wrapper adds it each time
         _finalize_at_exit(resources.parent / "binaries" / "linux64" / f"{manifest['identifier']}.so")
         self._check_bundle(resources, manifest)
@@ -276,7 +278,7 @@ class GuardedSlave(Fmi2Slave):
     def _get_fmu_state(self) -> dict[str, Any]:
         return {
             "format": STATE_FORMAT,
-            "unit_name": self._showing.interface.name,
+            "fmu": self._identity,
             "phase": self._phase,
             "experiment_set": self._experiment_set,
             "time": self._time,
@@ -287,10 +289,9 @@ class GuardedSlave(Fmi2Slave):
 
     @_guarded
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
-        found = (state.get("format"), state.get("unit_name"), len(state.get("values", ())))
-        expected = (STATE_FORMAT, self._showing.interface.name, len(self._values))
+        found, expected = (state.get("format"), state.get("fmu")), (STATE_FORMAT, self._identity)
         if found != expected:
-            raise ValueError(f"the state must be of (format, unit, number of variables) {expected}, found {found}")
+            raise ValueError(f"the state must be one of this FMU, with (format, FMU) {expected}, found {found}")
         self._phase = state["phase"]
         self._experiment_set = state["experiment_set"]
         self._time = state["time"]

@@ -197,6 +197,19 @@ def test_saved_state_continues_in_another_instance(instance):
             assert other.step(k * H, H, **rows[k]) == one.step(k * H, H, **rows[k])
 
 
+def test_state_of_another_design_is_refused(instance, tmp_path):
+    """Of the same names and sizes, with another gain."""
+    redesigned = export("filtered_controller", "python", tmp_path, {"K_1_1": 0.5})
+    other = Native(extract(str(redesigned), str(tmp_path / "unpacked"))).initialize()
+    state = other.serialize(other.save())
+    fmu = instance("filtered_controller", "python").initialize()
+    before = fmu.everything()
+    assert fmu.call("SetFMUstate", fmu.deserialize(state)) >= 3
+    assert complaint(fmu).startswith("the state must be one of this FMU")
+    assert fmu.everything() == before
+    other.free()
+
+
 def test_two_designs_of_one_class_do_not_touch_each_other(instance):
     names = ("small_controller", "filtered_controller", "largest_controller")
     alone = {}

@@ -33,8 +33,8 @@ def falling_and_rising():
     delta = [math.pi * (1 + math.cos(math.pi * k / 60)) / 2 for k in range(60)]
     tilt = [0.1 * 10.0**-k for k in (*range(0, 330, 3), 400, 400)]
     delta += [*tilt, *tilt[::-1], *(0.02 * k for k in range(65))]
-    rows = [(0.1 * d, d, b - d, 1e3 * (b - d)) for d, b in itertools.pairwise(delta)]
-    return [*rows, (math.nan, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)]
+    rows = [(0.1 * d, d, b - d, 1e3 * (b - d), k % 2 * 0.05 * d) for k, (d, b) in enumerate(itertools.pairwise(delta))]
+    return [*rows, (math.nan, *[0.0] * 4), (0.0,) * 5]
 
 
 def cases_of(name):
@@ -109,10 +109,10 @@ def test_no_step_raises_a_floating_point_exception(build, name, program, native_
         assert done.returncode == 0, done.stderr
     guid = str(description(str(folder)).guid)
     output = next(v.valueReference for v in description(str(folder)).modelVariables if v.causality == "output")
-    inputs = sum(v.causality == "input" for v in description(str(folder)).modelVariables)
+    inputs = [str(v.valueReference) for v in description(str(folder)).modelVariables if v.causality == "input"]
     location = (folder / "resources").as_uri()
     done = subprocess.run(
-        [program, binary, location, guid, str(output), str(inputs)],
+        [program, binary, location, guid, str(output), *inputs],
         input=script(name, folder),
         capture_output=True,
         text=True,

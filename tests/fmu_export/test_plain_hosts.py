@@ -48,7 +48,7 @@ class Interface:
         (self.binary,) = self.folder.glob("binaries/*/*.*")
 
     def arguments(self, kind):
-        counts = [self.description.numberOfContinuousStates, len(self.inputs), *self.outputs]
+        counts = [self.description.numberOfContinuousStates, len(self.inputs), *self.inputs, *self.outputs]
         return [self.description.guid, kind, *map(str, counts)]
 
 
@@ -75,7 +75,7 @@ def expected_rows(interface, kind):
         unit.enterContinuousTimeMode()
     rows = []
     for k in range(STEPS):
-        unit.setReal(interface.inputs, [input_at(k, i) for i in interface.inputs])
+        unit.setReal(interface.inputs, [input_at(k, i) for i in range(len(interface.inputs))])
         if kind == "me":
             integrate(unit, k * STEP, interface.description.numberOfContinuousStates)
         else:

@@ -106,9 +106,9 @@ def host_arguments(native, native_folders):
     def make(name, kind):
         description = native(name).description
         outputs = [v for v in description.modelVariables if v.causality in ("output", "local") and v.type == "Real"]
-        inputs = [v for v in description.modelVariables if v.causality == "input"]
+        inputs = [v.valueReference for v in description.modelVariables if v.causality == "input"]
         location = (native_folders[name] / "resources").as_uri()
-        counts = [description.numberOfContinuousStates, len(inputs)]
+        counts = [description.numberOfContinuousStates, len(inputs), *inputs]
         return [location, description.guid, kind, *counts, *(v.valueReference for v in outputs)]
 
     return make

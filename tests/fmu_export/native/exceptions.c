@@ -1,10 +1,10 @@
 /* A host that unmasks floating-point exceptions, as those in Delphi, Ada or LabVIEW do: the first invalid operation, division
  * by zero or overflow ends it by SIGFPE.
  *
- *     exceptions BINARY RESOURCE_URI GUID OUTPUT INPUTS < CASES
+ *     exceptions BINARY RESOURCE_URI GUID OUTPUT INPUT... < CASES
  *
- * OUTPUT is the value reference of a Real output, INPUTS the number of inputs, from reference 0 on. Standard input: lines "case NAME", "int REFERENCE VALUE",
- * "real REFERENCE VALUE" (start values), then "row U_0 U_1 ...", one per step of 1 ms; "end" runs the case. The first row
+ * OUTPUT and INPUT are value references, of a Real output and of all inputs. Standard input: lines "case NAME", "int
+ * REFERENCE VALUE", "real REFERENCE VALUE" (start values), then "row U_0 U_1 ...", one per step of 1 ms; "end" runs the case. The first row
  * is set after the first step: in initialization inputs are left at 0. Prints the case's name before it runs.
  */
 #define _GNU_SOURCE
@@ -54,13 +54,10 @@ static void log_message(fmi2ComponentEnvironment environment, fmi2String name, f
     fprintf(stderr, "%s: %s\n", name, message);
 }
 
-static void run(fmi2Component c, size_t inputs, fmi2ValueReference output, char *line)
+static void run(fmi2Component c, const fmi2ValueReference references[], size_t inputs, fmi2ValueReference output,
+                char *line)
 {
-    fmi2ValueReference references[MOST];
     double u[MOST], y, time = 0.0;
-    for (size_t i = 0; i < inputs; i++) {
-        references[i] = (fmi2ValueReference)i;
-    }
     DO(setup_experiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0));
     DO(enter_initialization(c));
     DO(exit_initialization(c));
@@ -86,7 +83,8 @@ int main(int count, char **arguments)
     const fmi2CallbackFunctions callbacks = {log_message, calloc, free, NULL, NULL};
     char line[LINE];
     fmi2Component c = NULL;
-    if (count != 6) {
+    fmi2ValueReference references[MOST];
+    if (count < 6 || count > 5 + MOST) {
         fail("wrong arguments");
     }
     void *library = dlopen(arguments[1], RTLD_NOW | RTLD_LOCAL);
@@ -102,7 +100,10 @@ int main(int count, char **arguments)
     find(library, "fmi2SetReal", &set_real);
     find(library, "fmi2SetInteger", &set_integer);
     find(library, "fmi2DoStep", &do_step);
-    const size_t inputs = (size_t)atoi(arguments[5]);
+    const size_t inputs = (size_t)count - 5;
+    for (size_t i = 0; i < inputs; i++) {
+        references[i] = (fmi2ValueReference)atoi(arguments[5 + i]);
+    }
     feenableexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
     while (fgets(line, sizeof line, stdin) != NULL) {
         unsigned reference;
@@ -120,7 +121,7 @@ int main(int count, char **arguments)
         } else if (sscanf(line, "real %u %lf", &reference, &real) == 2) {
             DO(set_real(c, &reference, 1, &real));
         } else {
-            run(c, inputs, (fmi2ValueReference)atoi(arguments[4]), line);
+            run(c, references, inputs, (fmi2ValueReference)atoi(arguments[4]), line);
             free_instance(c);
         }
     }

@@ -1,8 +1,8 @@
 /* A plain host: loads the binary of an FMU, runs it, and prints its Real outputs.
  *
- *     host BINARY RESOURCE_URI GUID cs|me STATES INPUTS OUTPUT...
+ *     host BINARY RESOURCE_URI GUID cs|me STATES INPUTS INPUT... OUTPUT...
  *
- * INPUTS is the number of inputs, whose value references are 0, 1, ...; OUTPUT... are value references of Real outputs.
+ * INPUTS is the number of inputs; INPUT... and OUTPUT... are value references, of all inputs and of Real outputs.
  * After every 100 of 1000 steps of 1 ms a line with the outputs follows; last one with what is loaded and looks like
  * Python. The second half is repeated from a saved state and in another instance from a serialized one, everything after
  * a reset: the exit code is 1 with a message where these differ or where a call fails.
@@ -48,7 +48,7 @@ static fmi2SetTimeTYPE *set_time;
 
 static fmi2Type kind;
 static size_t state_count, input_count, output_count;
-static fmi2ValueReference outputs[MOST];
+static fmi2ValueReference inputs[MOST], outputs[MOST];
 
 static void fail(const char *what)
 {
@@ -155,11 +155,9 @@ static void integrate(fmi2Component c, double time)
 
 static void run(fmi2Component c, int first, int last, double y[MOST], int print)
 {
-    fmi2ValueReference inputs[MOST];
     double u[MOST];
     for (int k = first; k < last; k++) {
         for (size_t i = 0; i < input_count; i++) {
-            inputs[i] = (fmi2ValueReference)i;
             u[i] = ((k / 10 * 7 + (int)i * 3) % 11 - 5) * 0.03125 / (i == 2 ? 1024.0 : 1.0);
         }
         DO(set_real(c, inputs, input_count, u));
@@ -216,7 +214,13 @@ int main(int count, char **arguments)
     state_count = (size_t)atoi(arguments[5]);
     input_count = (size_t)atoi(arguments[6]);
     for (int i = 7; i < count; i++) {
-        outputs[output_count++] = (fmi2ValueReference)atoi(arguments[i]);
+        const fmi2ValueReference reference = (fmi2ValueReference)atoi(arguments[i]);
+        const size_t k = (size_t)i - 7;
+        if (k < input_count) {
+            inputs[k] = reference;
+        } else {
+            outputs[output_count++] = reference;
+        }
     }
     void *library = load(arguments[1]);
     if (library == NULL) {

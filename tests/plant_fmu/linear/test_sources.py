@@ -69,7 +69,9 @@ def test_no_step_raises_a_floating_point_exception(large, tmp_path):
     lines += [f"real {references['lower_1']} -1.0", f"real {references['upper_1']} 1.0"]
     lines += ["row " + " ".join(f"{value:.17g}" for value in row) for row in rows]
     (binary,) = large.glob("binaries/*/*.so")
-    arguments = [binary, (large / "resources").as_uri(), description.guid, str(references["output_1"]), "16"]
+    inputs = [v.valueReference for v in description.modelVariables if v.causality == "input"]
+    told = map(str, (references["output_1"], *inputs))
+    arguments = [binary, (large / "resources").as_uri(), description.guid, *told]
     done = subprocess.run(
         [program, *arguments], input="\n".join([*lines, "end", ""]), capture_output=True, text=True, check=False
     )
