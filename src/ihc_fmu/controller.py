@@ -29,6 +29,7 @@ from fmu_export.variables import Interface, Value, did_you_mean
 
 from .design import Design
 from .estimation import estimator
+from .observer import homogeneous_observer
 from .regulator.interface import INTERFACE, MODES, OUTPUTS, numbered
 from .regulator.start_values import LinearFilter, Regulator, design_regulator
 from .regulator.unit import HomogeneousControllerUnit
@@ -60,7 +61,9 @@ def regulator_of(design: Design) -> Regulator:
 
     Raises UserError where there is no estimator, and as `design_regulator`.
     """
-    return design_regulator(design, None if design.system.measures_state else _kalman(design))
+    if design.system.measures_state:
+        return design_regulator(design)
+    return design_regulator(design, _kalman(design) if design.system.observer is None else homogeneous_observer(design))
 
 
 def _kalman(design: Design) -> LinearFilter:

@@ -58,6 +58,57 @@ class Quantity(NamedTuple):
         return cls(name, unit)
 
 
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ObserverWish:
+    """A homogeneous observer in place of a Kalman filter: its linear gain and its numbers, None: chosen.
+
+    L (n, p): A + L C is Hurwitz; or Q (n, n) or (n,), R (p, p) or (p,): weights of the dual of an LQ regulator,
+    L = -S C' R^-1. nu in [-1, 0]: degree. q_min, q_max > 0: limits of |C z - y| in the gain; q_linear > 0: where the gain
+    is L. Raises UserError that names the entry.
+    """
+
+    L: Array | None = None
+    Q: Array | None = None
+    R: Array | None = None
+    nu: float | None = None
+    q_min: float | None = None
+    q_max: float | None = None
+    q_linear: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("L", "Q", "R"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, _matrix(f"observer.{name}", getattr(self, name), flat=True))
+        if (self.Q is None) != (self.R is None) or (self.L is not None and self.Q is not None):
+            raise UserError("observer must have L, or both Q and R, or none of them")
+        if self.nu is not None and not -1.0 <= self.nu <= 0.0:
+            raise UserError(f"observer.nu must lie in [-1, 0], found {self.nu:g}")
+        for name in ("q_min", "q_max", "q_linear"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < LARGEST:
+                raise UserError(f"observer.{name} must be positive and finite, found {value:g}")
+
+    @classmethod
+    def from_table(cls, table: object) -> ObserverWish:
+        """Return the wish of a table of entries."""
+        names = [f.name for f in fields(cls)]
+        if not isinstance(table, Mapping) or not set(table) <= set(names):
+            raise UserError(f"observer must be a table of {', '.join(names)}, found {shown(table)}")
+        for name, value in table.items():
+            levels = 0 if name not in ("L", "Q", "R") else 1 if _is_row(value) else 2
+            _check_numbers(f"observer.{name}", value, levels)
+        return cls(**table)
+
+    def as_table(self) -> dict[str, Any]:
+        """Return what `from_table` reads, in plain types."""
+        given = {f.name: getattr(self, f.name) for f in fields(self)}
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in given.items()
+            if value is not None
+        }
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class System:
     """x' = A x + B (u - u_eq), y - y_eq = C x, with x the deviation of the states from x_eq.
@@ -69,7 +120,7 @@ class System:
     none. `sample_time` [s]: of the controller. `set_points`: outputs with a reference. `biases`: outputs whose bias a Kalman
     filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, 0: none, None: chosen. `integral`: K_i
     (m, n) of a linear PI controller that works, u = K x + v, v' = K_i x, or "direct", which chooses one; None: no integral
-    action.
+    action. `observer`: a homogeneous observer in place of a Kalman filter.
 
     Raises UserError that names the entry, its rule and what was found.
     """
@@ -94,6 +145,7 @@ class System:
     biases: tuple[str, ...] = ()
     bandwidth: float | None = None
     integral: Array | str | None = None
+    observer: ObserverWish | None = None
     measures_state: bool = field(init=False)
 
     def __post_init__(self) -> None:
@@ -127,6 +179,7 @@ class System:
                 )
         self._take_names(n, m, len(self.C))
         self._take_vectors(n, m, len(self.C))
+        self._check_observer(n, len(self.C))
         for value in (getattr(self, f.name) for f in fields(self)):
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
@@ -198,6 +251,25 @@ class System:
         if y_eq is not None and not np.array_equal(np.asarray(y_eq, dtype=float), np.asarray(self.x_eq)):
             raise UserError("without C the outputs are the states, and so are those of the equilibrium")
         return self.x_eq
+
+    def _check_observer(self, n: int, p: int) -> None:
+        if self.integral is not None and (self.observer is not None or self.bandwidth == 0.0):
+            raise UserError(
+                "integral needs states that a disturbance does not falsify: measured, or of a Kalman filter that estimates "
+                f"disturbances, found {'observer' if self.observer is not None else 'bandwidth = 0'}"
+            )
+        if self.observer is None:
+            return
+        if self.measures_state:
+            raise UserError("observer is for outputs y = C x; without C the states are measured")
+        if self.biases or self.bandwidth is not None:
+            name = "biases" if self.biases else "bandwidth"
+            raise UserError(f"{name} must be left out with observer: only a Kalman filter estimates such")
+        L = self.observer.L
+        if L is not None and L.shape != (n, p):
+            if L.shape != (n,) or p != 1:
+                raise UserError(f"observer.L must have {n} rows of {p} numbers to fit A and C, found shape {L.shape}")
+            self._set("observer", replace(self.observer, L=L[:, None]))
 
     @property
     def n(self) -> int:
@@ -323,6 +395,8 @@ class System:
             found["bandwidth"] = self.bandwidth
         if self.integral is not None:
             found["integral"] = self.integral if isinstance(self.integral, str) else self.integral.tolist()
+        if self.observer is not None:
+            found["observer"] = self.observer.as_table()
         return found
 
     def to_toml(self, comment: str = "") -> str:
@@ -386,7 +460,7 @@ _TEXTS = ("states", "inputs", "outputs", "set_points", "biases")
 _EQUILIBRIUM = {"states": "x_eq", "inputs": "u_eq", "outputs": "y_eq"}
 ENTRIES = (
     *("name", "A", "B", "b", "C", "K", "k_lin", "lqr", *_TEXTS, "limits", *_VECTORS),
-    *("sample_time", "equilibrium", "bandwidth", "integral"),
+    *("sample_time", "equilibrium", "bandwidth", "integral", "observer"),
 )
 """Entries of a system file."""
 
@@ -482,6 +556,7 @@ _READERS: dict[str, Callable[[str, Any], Any]] = {
     "name": _read_text,
     **dict.fromkeys(("A", "B", "C", "K"), _read_rows),
     "integral": _read_integral,
+    "observer": lambda _, value: ObserverWish.from_table(value),
     **dict.fromkeys(_VECTORS, partial(_check_numbers, levels=1)),
     **dict.fromkeys(_TEXTS, _read_texts),
     **dict.fromkeys(("sample_time", "bandwidth"), _read_number),
