@@ -9,6 +9,7 @@ from typing import Any
 
 from fmu_export.variables import did_you_mean
 from ihc_fmu.design import Design
+from ihc_fmu.integral import largest_mu
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha
@@ -52,7 +53,7 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]
     if wish.direct:
         if wish.alpha is None:
             raise UserError("a direct design needs --alpha, the decrease to prove [1/s]")
-        mu = 1.0 if wish.mu is None else wish.mu
+        mu = largest_mu(system) if wish.mu is None else wish.mu
         choice = chosen_options(system, mu, wish.alpha, u_max, say, **rest)
         return direct_design(system, choice.options), choice.reasons
     if system.K is None:
@@ -71,7 +72,7 @@ def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> 
     if wish.psi or wish.d_max or wish.alpha is None:
         smaller = "" if wish.mu is None else "a smaller --mu, or "
         return UserError(f"{error}; {smaller}--method direct may have a solution")
-    mu = 1.0 if wish.mu is None else wish.mu
+    mu = largest_mu(system) if wish.mu is None else wish.mu
     try:
         largest = largest_alpha(system, mu, say=say)
     except InfeasibleError as none:

@@ -35,6 +35,7 @@ from .certificate import CertificateError, is_positive
 
 if TYPE_CHECKING:
     from .design import Design
+    from .system import System
 
 Array = np.ndarray
 
@@ -75,6 +76,11 @@ def integral_action(design: Design) -> IntegralAction | None:
         return _of(design, np.diag((SHARE_OF_BOUND * design.u_max) ** 2))
     _check_linear_pi(design.A + design.B @ design.K, design.B, wanted)
     return _of(design, nearest(wanted, design.B, design.P, design.extent, design.u_max))
+
+
+def largest_mu(system: System) -> float:
+    """Return the largest mu that a design of the system may have."""
+    return 1.0 if system.integral is None else LARGEST_MU
 
 
 def check_degree(mu: float) -> None:

@@ -18,7 +18,7 @@ from fmu_export.errors import UserError
 from .block_form import BlockForm, block_form
 from .certificate import CertificateError
 from .design import QUIET, Design, check_scalars
-from .integral import LARGEST_MU, check_degree
+from .integral import check_degree, largest_mu
 from .lmi import InfeasibleError, Limit, Problem, decay, is_refuted, search, solve
 from .system import System
 
@@ -408,7 +408,7 @@ def chosen_options(
     input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
     """
     reasons = []
-    most = 1.0 if system.integral is None else LARGEST_MU
+    most = largest_mu(system)
     if mu is not None and system.integral is not None:
         check_degree(mu)
     if alpha is None or mu is None:
