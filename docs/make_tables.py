@@ -1,8 +1,10 @@
 """Write the tables of the documentation that are derived: from the code, and with `--results FOLDER` from comparisons.
 
     qube-ihc demo && qube-ihc compare disturbed && python docs/make_tables.py --results results
+    python docs/make_tables.py --examples
 
-The second needs `comparison.json` of each scenario that the README shows.
+The first needs `comparison.json` of each scenario that the README shows; the second designs, exports and runs what is in
+examples/, which takes a minute or two, for own_plant.md.
 """
 
 from __future__ import annotations
@@ -188,8 +190,13 @@ def main() -> int:
     """Write the files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, help="folder of the comparisons; none: the README stays as it is")
+    parser.add_argument("--examples", action="store_true", help="run the examples for own_plant.md")
     given = parser.parse_args()
     files = rendered() | ({} if given.results is None else {README: readme(given.results)})
+    if given.examples:
+        from example_table import tables  # noqa: PLC0415 - beside this file, and heavy
+
+        files[DOCS / "own_plant.md"] = _with_table("own_plant.md", "examples", tables())
     for path, text in files.items():
         path.write_text(text, encoding="utf-8")
         print(path.name)

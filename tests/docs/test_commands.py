@@ -1,7 +1,8 @@
 """Every command and program in the documentation runs as it is printed, page by page, or is marked there as not run.
 
 A fenced block says its language: `sh`, `python`, `toml` or `text`, which is nothing to run. The marks are comments:
-`# not run: REASON` at the end of a command, `<!-- not run: REASON -->` above a block of any language.
+`# not run: REASON` at the end of a command, `<!-- not run: REASON -->` above a block of any language. A `text` block under
+`<!-- output -->` has lines that the block before it prints, in their order; numbers may differ by 2 %.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 STAND_IN = ROOT / "tests" / "cosim" / "hil" / "stand_in"
 FENCE = re.compile(
-    r"^(?:<!-- not run: (?P<reason>.+?) -->\n)?```(?P<language>.*?)\n(?P<body>.*?)^```$", re.MULTILINE | re.DOTALL
+    r"^(?:<!-- (?:not run: (?P<reason>.+?)|(?P<output>output)) -->\n)?```(?P<language>.*?)\n(?P<body>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
 )
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")
 MARK = re.compile(r"# not run: (?P<reason>.+)$")
 
 
@@ -41,6 +44,7 @@ class Block:
     language: str
     body: str
     reason: str | None
+    is_output: bool = False
 
     @property
     def place(self) -> str:
@@ -65,7 +69,14 @@ def blocks(page: Path) -> list[Block]:
     text = page.read_text(encoding="utf-8")
     assert len(re.findall(r"^ *(```|~~~)", text, re.MULTILINE)) == 2 * len(FENCE.findall(text)), page
     return [
-        Block(page, text.count("\n", 0, m.start("body")) + 1, m["language"], m["body"], m["reason"])
+        Block(
+            page,
+            text.count("\n", 0, m.start("body")) + 1,
+            m["language"],
+            m["body"],
+            m["reason"],
+            m["output"] is not None,
+        )
         for m in FENCE.finditer(text)
     ]
 
@@ -104,6 +115,7 @@ def environment(tmp_path, left_by_earlier_commands):
     """A folder and an environment without anything else: the project's commands on the PATH, a stand-in as the board."""
     work, commands, board = tmp_path / "user", Path(sys.prefix) / "bin", tmp_path / "board.json"
     shutil.copytree(left_by_earlier_commands, work, symlinks=True)
+    shutil.copytree(ROOT / "examples", work / "examples", ignore=shutil.ignore_patterns("__pycache__", "*.fmu"))
     for name in ("Makefile", "pyproject.toml", "hatch_build.py"):
         shutil.copy(ROOT / name, work)
     (work / ".venv").mkdir()
@@ -124,8 +136,12 @@ def environment(tmp_path, left_by_earlier_commands):
 @pytest.mark.parametrize("page", [p for p in PAGES if any(b.page == p for b in BLOCKS)], ids=lambda p: p.name)
 def test_commands_and_programs_run_as_printed(environment, page):
     work, variables = environment
+    printed = ""
     for block in blocks(page):
         if block.reason is not None:
+            continue
+        if block.is_output:
+            check_printed(block, printed)
             continue
         if block.language == "sh":
             command = ["bash", "-euv", "-c", block.script()]
@@ -140,6 +156,27 @@ def test_commands_and_programs_run_as_printed(environment, page):
         )
         assert done.returncode == 0, f"{block.place}\n{done.stdout}\n{done.stderr}"
         assert "Traceback" not in done.stderr
+        printed = done.stdout
+
+
+def check_printed(block, printed):
+    """Each line of the block was printed, in this order, with the same numbers but for a solver's digits."""
+    rest = plain(printed)
+    assert block.body.strip()
+    for line in filter(None, map(plain, block.body.splitlines())):
+        pattern = NUMBER.sub("(NUMBER)", line)
+        found = re.search(re.escape(pattern).replace(r"\(NUMBER\)", f"({NUMBER.pattern})"), rest)
+        assert found is not None, f"{block.place}: {line!r} was not printed; what was is\n{rest}"
+        values = zip(NUMBER.findall(line), found.groups(), strict=True)
+        assert all(float(a) == pytest.approx(float(b), rel=2e-2) for a, b in values), (
+            f"{block.place}: {line}, {found[0]}"
+        )
+        rest = rest[found.end() :]
+
+
+def plain(text):
+    """Return the text without the lines of tables, each gap as one blank."""
+    return " ".join(re.sub("[┃│]", " ", text).split())
 
 
 @pytest.mark.parametrize(("what", "reason"), MARKED, ids=[what for what, _ in MARKED])
