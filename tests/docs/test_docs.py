@@ -14,6 +14,7 @@ from cosim.experiments import Study, compare
 from cosim.export import export_units
 from cosim.scenario import Scenario, load_scenario
 from ihc_fmu.pendulum.start_values import default_design
+from ihc_fmu.system import ENTRIES
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -119,6 +120,14 @@ def test_commands_in_the_text_exist(page):
         assert set(re.findall(r"(?<!\S)--?[a-z][\w-]*", rest)) <= COMMANDS[command], f"{command}{rest}"
     for target in re.findall(r"^make (\w+)", text, flags=re.MULTILINE):
         assert f"\n{target}:" in makefile
+
+
+def test_every_entry_of_a_system_file_is_documented():
+    page = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
+    table = page.split("## All entries of a system file")[1].split("\n**")[0]
+    rows = [line for line in table.splitlines() if line.startswith("| `")]
+    named = {name for row in rows for cell in cells(row)[:2] for name in re.findall(r"`(\w+)`", cell)}
+    assert named >= set(ENTRIES)
 
 
 def test_the_example_scenario_is_valid():
