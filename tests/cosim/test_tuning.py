@@ -262,7 +262,9 @@ def test_at_a_min_and_b_max_1_every_mu_and_scale_is_the_linear_controller_to_the
     for family in FAMILIES:
         point = Point(*family, 1.0, 1.0)
         result = run_scenario(
-            problem.at(point, problem.designs(Grid(u_max=(point.u_max or 0.0,), mu=(point.mu or 0.0,)))[point.mu, point.u_max]),
+            problem.at(
+                point, problem.designs(Grid(u_max=(point.u_max or 0.0,), mu=(point.mu or 0.0,)))[point.mu, point.u_max]
+            ),
             fmus,
             folder,
         )
@@ -319,7 +321,9 @@ def test_the_tests_of_the_rule_see_all_that_it_can_do(tuned):
 
 def test_an_outcome_is_the_mean_of_single_runs(tuned, tilt, fmus):
     problem, point = tilt(STEADY), Point(1.0, 10.0, 0.4, 1.0)
-    scenario = problem.at(point, problem.designs(Grid(u_max=(point.u_max or 0.0,), mu=(point.mu or 0.0,)))[point.mu, point.u_max])
+    scenario = problem.at(
+        point, problem.designs(Grid(u_max=(point.u_max or 0.0,), mu=(point.mu or 0.0,)))[point.mu, point.u_max]
+    )
     found = [numbers(run_scenario(drawn(scenario, draw), fmus, problem.folder)) for draw in range(1, problem.draws + 1)]
     outcome = tuned("integral_q2").outcomes[point]
     assert outcome.measure == statistics.fmean(n["integral_q2"] for n in found)
