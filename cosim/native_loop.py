@@ -56,7 +56,15 @@ class _Instance(ctypes.Structure):
     ]
 
 
-class _Recorded(ctypes.Structure):
+class _Span(ctypes.Structure):
+    _fields_ = [("first", _P), ("count", _Z)]
+
+
+class _Reals(ctypes.Structure):
+    _fields_ = [("count", _Z), ("span_count", _Z), ("spans", _P), ("rows", _P)]
+
+
+class _Integers(ctypes.Structure):
     _fields_ = [("count", _Z), ("sources", _P), ("rows", _P)]
 
 
@@ -64,8 +72,8 @@ class _Run(ctypes.Structure):
     _fields_ = [
         ("instance_count", _Z),
         ("instances", _P),
-        ("reals", _Recorded),
-        ("integers", _Recorded),
+        ("reals", _Reals),
+        ("integers", _Integers),
         ("start_time", _D),
         ("step", _D),
         ("steps", _I64),
@@ -134,8 +142,8 @@ class NativeLoop:
         self.run = _Run(
             instance_count=len(stages),
             instances=self._array(_Instance, stages),
-            reals=self._recorded(*reals),
-            integers=self._recorded(*integers),
+            reals=self._reals(*reals),
+            integers=self._integers(*integers),
             times=times.ctypes.data,
         )
 
@@ -214,10 +222,21 @@ class NativeLoop:
             signals=self._array(_Signal, rows),
         )
 
-    def _recorded(self, slots: Sequence[Slot], rows: np.ndarray) -> _Recorded:
+    def _reals(self, slots: Sequence[Slot], rows: np.ndarray) -> _Reals:
+        spans: list[_Span] = []
+        end = None
+        for address in map(_address, slots):
+            if address == end:  # the next one of an FMU's outputs
+                spans[-1].count += 1
+            else:
+                spans.append(_Span(address, 1))
+            end = address + ctypes.sizeof(_D)
+        return _Reals(len(slots), len(spans), self._array(_Span, spans), rows.ctypes.data)
+
+    def _integers(self, slots: Sequence[Slot], rows: np.ndarray) -> _Integers:
         sources = (_P * max(1, len(slots)))(*[_address(s) for s in slots])
         self._kept.append(sources)
-        return _Recorded(len(slots), ctypes.addressof(sources), rows.ctypes.data)
+        return _Integers(len(slots), ctypes.addressof(sources), rows.ctypes.data)
 
     def _array(self, kind: type[ctypes.Structure], rows: Sequence[ctypes.Structure]) -> int:
         array = (kind * max(1, len(rows)))(*rows)

@@ -98,8 +98,11 @@ static void record(loop_run *run)
     run->times[row] = run->start_time + (double)run->done * run->step;
     double *reals = run->reals.rows + row * run->reals.count;
     int64_t *integers = run->integers.rows + row * run->integers.count;
-    for (size_t i = 0; i < run->reals.count; i++) {
-        reals[i] = *run->reals.sources[i];
+    for (size_t i = 0; i < run->reals.span_count; i++) {
+        const loop_span *span = &run->reals.spans[i];
+        for (size_t j = 0; j < span->count; j++) {
+            *reals++ = span->first[j];
+        }
     }
     for (size_t i = 0; i < run->integers.count; i++) {
         integers[i] = *run->integers.sources[i];

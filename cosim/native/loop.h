@@ -57,10 +57,16 @@ typedef struct {
     const loop_signal *signals;
 } loop_instance;
 
-/* What is recorded: rows of `count` values from the sources. */
+/* `count` real numbers, one after the other. */
 typedef struct {
+    const double *first;
     size_t count;
-    const double *const *sources;
+} loop_span;
+
+/* What is recorded: rows of `count` values; real ones from spans, others from their sources. */
+typedef struct {
+    size_t count, span_count;
+    const loop_span *spans;
     double *rows;
 } loop_reals;
 
