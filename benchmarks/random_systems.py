@@ -71,7 +71,10 @@ def _matrices(rng: np.random.Generator, kind: str, n: int, m: int) -> tuple[Arra
 
 
 def _gain(rng: np.random.Generator, gain: str, A: Array, B: Array) -> Array | None:
-    """Return K of u = K x; None for a pair that is not controllable, or nearly not."""
+    """Return K of u = K x; None for a pair that is not controllable, or nearly not.
+
+    Where SciPy's placement does not converge, K is very large and its poles are others; such a gain is kept.
+    """
     n, m = B.shape
     Q, R = 10.0 ** rng.uniform(-1, 1, n), 10.0 ** rng.uniform(-2, 1, m)
     poles = _poles(rng, n)

@@ -193,7 +193,7 @@ def search(problem: Problem, mu: float, a: float, limit: Limit, least: float = L
 
     For a = infinity that is the largest a, to the share `least` of its way on a logarithmic scale.
     """
-    best: Search | None = None
+    best = Search(problem, 0.0, 0.0, complete=False)
     rate = decay(problem)
     for slow in (0.02 * rate, 1e-3 * rate, 1e-5 * rate, a):
         if best is not None and (slow >= a or best.mu >= mu):
@@ -210,9 +210,8 @@ def search(problem: Problem, mu: float, a: float, limit: Limit, least: float = L
             found = Search(there, mu, first * ratio**s, complete=s >= 1.0 and a <= rate)
         if found.complete:
             return found
-        if best is None or (found.mu, found.a) > (best.mu, best.a):
+        if (found.mu, found.a) > (best.mu, best.a):
             best = found
-    assert best is not None
     return best
 
 

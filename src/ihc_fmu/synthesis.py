@@ -219,6 +219,12 @@ def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
     omega = float(np.exp(np.linalg.slogdet(closed)[1] / system.n))
     form = _normal(form, omega)
     closed = form.T @ (system.A + system.B @ system.K) @ form.T_inverse / omega
+    slowest = float(np.linalg.eigvals(closed).real.max()) * omega
+    if slowest >= 0.0:
+        raise UserError(
+            "K must stabilize (A, B) whatever the rounding: the largest real part of the poles is "
+            f"{_slowest(system, system.K):.4g} 1/s as given, but {slowest:.4g} 1/s in scaled block coordinates"
+        )
     return Problem(closed, np.diag(np.array(form.exponents, dtype=float)), form.T_inverse, beta), omega
 
 

@@ -1,5 +1,6 @@
 """The homotopy finds what exists, and the dual refutes what does not."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,12 @@ def test_search_stops_in_time_and_tells_how_it_goes():
     _, reached = walk(start, lambda s: (s, 0.02), Limit(-1.0, said.append))
     assert reached == 0.0
     assert said == ["at mu = 0.25, alpha = 0.02 in scaled time"]
+
+
+def test_search_for_an_unstable_loop_finds_nothing():
+    problem = chain(3, "equal")
+    found = search(replace(problem, closed=-problem.closed), 1.0, 0.1, Limit(20.0))
+    assert (found.complete, found.mu, found.a) == (False, 0.0, 0.0)
 
 
 def test_solver_without_a_solution_is_reported_as_infeasible():

@@ -197,6 +197,15 @@ def test_a_design_does_not_depend_on_those_before_it():
     assert first.to_json() == again.to_json() != other.to_json()
 
 
+def test_gain_that_stabilizes_by_rounding_alone_is_refused():
+    """Poles placed without convergence: a gain so large that its poles depend on the coordinates."""
+    case = drawn(1157)
+    with pytest.raises(
+        UserError, match=r"^K must stabilize \(A, B\) whatever the rounding: .* in scaled block coordinates"
+    ):
+        inverse_design(case.system)
+
+
 # Any order, number of inputs and units
 
 DRAWN = (1, 5, 9, 11, 12, 13, 19, 25, 27, 31, 36, 38)
