@@ -89,8 +89,8 @@ def test_disturbances_are_left_out_on_demand():
     with pytest.raises(UserError) as refusal:
         estimator(Design(tank, np.eye(1), mu=1.0, alpha=0.1))
     assert str(refusal.value) == (
-        "tank has no Kalman filter: no measured output tells the disturbance of left - the disturbance of right "
-        "from nothing; bandwidth = 0 in the system leaves the disturbances out"
+        "tank has no Kalman filter: 2 disturbances and biases cannot be told from 1 measured outputs; "
+        "bandwidth = 0 in the system leaves the disturbances out"
     )
     found = estimator(Design(tank.changed(bandwidth=0.0), np.eye(1), mu=1.0, alpha=0.1))
     assert 0.0 < found.M[0, 0] < 1.0

@@ -34,7 +34,7 @@ def whole(A, B, C, w) -> Any:
     return F, Q, np.hstack([C, np.zeros((p, m)), np.eye(p)])
 
 
-@pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 1), (2, 1, 1), (4, 2, 3), (6, 3, 4), (8, 2, 5)])
+@pytest.mark.parametrize(("n", "m", "p"), [(1, 1, 2), (2, 1, 2), (4, 2, 3), (6, 3, 4), (8, 2, 5)])
 def test_gain_is_that_of_the_riccati_equation(n, m, p):
     """SciPy's solution for what is estimated, noise by quadrature over a sample; rows of what is left out are 0."""
     A, B, C = model(n, m, p)
@@ -77,6 +77,11 @@ def test_what_is_noisier_is_trusted_less():
     gains = [kalman_filter(A, B, C, H, noise(1, 2, outputs=[r, 0.1])).M for r in (1e-3, 1e-1, 1e1)]
     sizes = [float(np.linalg.norm(M[:, 0])) for M in gains]
     assert all(more > less for more, less in pairwise(sizes))
+
+
+def test_more_disturbances_and_biases_than_outputs_are_refused():
+    with pytest.raises(UserError, match=r"^2 disturbances and biases cannot be told from 1 measured outputs$"):
+        kalman_filter(*model(2, 1, 1), H, noise(1, 1))
 
 
 @pytest.mark.parametrize("h", [0.0, -1.0, np.nan, np.inf])

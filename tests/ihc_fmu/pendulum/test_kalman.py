@@ -119,7 +119,7 @@ def test_swing_up_with_the_filter_captures_once_and_stays(controller, closed_loo
 
 def test_state_with_the_filter_continues_through_json(controller):
     def seen(k):
-        return 0.05 * np.sin(0.01 * k), 0.1 * np.cos(0.02 * k), 0.0, 0.0
+        return 0.05 * np.sin(0.01 * k), 0.1 * np.cos(0.02 * k), 0.0, 0.0, 0.0
 
     unit, other = controller(**BEST), controller(**BEST)
     unit.initialize(0.0, seen(0))
