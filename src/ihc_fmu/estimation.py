@@ -17,6 +17,8 @@ MOST_PER_SAMPLE = 0.3
 """Largest bandwidth that is chosen, times the sample time [rad]."""
 MOST_JUMP = 0.1
 """Of the room within the limits: a chosen bandwidth is lowered until a count of a sensor moves no command by more."""
+MOST_PER_STEP, MOST_NOTABLE = 0.5, 0.25
+"""Fastest pole times sample time, and jump of a command, beyond which something is said."""
 NOISE_FREE = 1e-4
 """Deviation of an output whose sensor nobody described, relative to its extent on the unit ball."""
 BIAS_RATE = 4.0
@@ -128,3 +130,22 @@ def _intensities(design: Design, density: Array, omega: float) -> Array:
         seen |= new
         reached = s.A @ reached / omega
     return np.where(told > 0.0, omega**2 / np.maximum(told, 1e-300), 0.0)
+
+
+def remarks(design: Design) -> list[str]:
+    """Return what is to be known of a design's sampling and sensors before it runs, a sentence each."""
+    s, found = design.system, []
+    fast = _fastest(design) * s.sample_time
+    if fast > MOST_PER_STEP:
+        found.append(
+            f"sample_time = {s.sample_time:g} s is long beside the fastest pole of A + B K, {_fastest(design):.4g} 1/s: the "
+            "sampled loop may be far from what is proven, or unstable"
+        )
+    if not s.measures_state and s.observer is None:
+        most = jump(design, estimator(design))
+        if most > MOST_NOTABLE:
+            found.append(
+                f"a count of a sensor, or three deviations, moves a command by {100 * most:.0f} % of its room within the limits: "
+                "the loop may never come to rest"
+            )
+    return found

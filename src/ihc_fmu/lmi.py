@@ -75,7 +75,12 @@ class Problem:
 
     def margin(self, mu: float, a: float) -> float:
         """Return by how much P = I satisfies both inequalities, relative to their matrices; negative where it does not."""
-        return min(-float(np.linalg.eigvalsh(F + F.T)[-1]) / float(np.linalg.norm(F, 2)) for F in self.both(mu, a))
+        return min(-float(np.linalg.eigvalsh(F + F.T)[-1]) / _size(F) for F in self.both(mu, a))
+
+
+def _size(F: Array) -> float:
+    """Return the norm of a matrix by which it is made one near 1; that of 0 is any."""
+    return float(np.linalg.norm(F, 2)) or 1.0
 
 
 def solve(problem: Any, what: str) -> None:
@@ -131,7 +136,7 @@ def improved(problem: Problem, mu: float, a: float) -> Problem | None:
     program, P, matrices = _step_program(len(problem.E))
     for _ in range(ATTEMPTS):
         for parameter, F in zip(matrices, problem.both(mu, a), strict=True):
-            parameter.value = F / np.linalg.norm(F, 2)
+            parameter.value = F / _size(F)
         try:
             solve(program, "a step")
             problem = problem.to(np.asarray(P.value))
@@ -233,7 +238,7 @@ def is_refuted(problem: Problem, mu: float, a: float) -> bool:
         return False
     least = -np.inf
     for _ in range(DUALS):
-        matrices = [F / np.linalg.norm(F, 2) for F in problem.both(mu, a)]
+        matrices = [F / _size(F) for F in problem.both(mu, a)]
         try:
             Z = _dual(matrices)
         except InfeasibleError:

@@ -448,5 +448,6 @@ def _bounds_from_limits(system: System) -> tuple[list[float], str]:
     shown = ", ".join(
         f"{bound:g}{'' if q.unit == '1' else ' ' + q.unit}" for bound, q in zip(bounds, system.inputs, strict=True)
     )
-    source = "half of the room within the limits" if limited.all() else "where there are no limits, 1"
+    half = "half of the room within the limits"
+    source = half if limited.all() else "1 without limits" if not limited.any() else f"{half}, without limits 1"
     return bounds, f"u_max = {shown}: the homogeneous part of the control on the unit ball; {source}"

@@ -163,6 +163,9 @@ class System:
         assert self.C is not None
         if self.C.shape[1] != n or not len(self.C):
             raise UserError(f"C must have {n} columns to fit A, found shape {self.C.shape}")
+        for i, row in enumerate(self.C):
+            if not row.any():
+                raise UserError(f"C must have no row of zeros, found that output {i + 1} measures nothing")
         if self.K is not None:
             K = _matrix("K", self.K, flat=True)
             self._set("K", K[None, :] if K.ndim == 1 else K)
