@@ -145,7 +145,7 @@ def remarks(design: Design) -> list[str]:
         most = jump(design, estimator(design))
         if most > MOST_NOTABLE:
             found.append(
-                f"a count of a sensor, or three deviations, moves a command by {100 * most:.0f} % of its room within the limits: "
-                "the loop may never come to rest"
+                f"a count of a sensor, or three deviations, moves a command by {100 * most:.0f} % of its room within the "
+                "limits: the loop may never come to rest"
             )
     return found
