@@ -129,5 +129,5 @@ def test_shape_that_the_table_has_no_place_for_is_refused(changes, message):
 
 
 def test_quantity_named_as_another_variable_is_refused():
-    with pytest.raises(UserError, match="variable names must be unique, found 'mode' more than once"):
+    with pytest.raises(UserError, match="the controller of x has a variable named 'mode' of its own"):
         shown_interface(Shape(name="x", states=(("mode", "1"),), inputs=(("u", "1"),), outputs=(("mode", "1"),)))
