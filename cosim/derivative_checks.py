@@ -73,4 +73,5 @@ def check_contradiction(J: Array, found: Jacobian, sizes: Array, rows: Sequence[
         raise UserError(
             f"the FMU contradicts itself: its directional derivative of {rows[i]} by {columns[j]} is {J[i, j]:.6g}, "
             f"differences give {found.J[i, j]:.6g}"
+            + ("" if J[i].any() else "; so it is of a sensor that counts, whose resolution --set turns off")
         )

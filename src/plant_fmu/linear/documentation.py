@@ -13,11 +13,11 @@ def notes(system: System) -> str:
     """Return the model's equations and the numbers of `system`."""
     equilibrium = "" if not _is_moved(system) else _matrices(x_eq=system.x_eq, u_eq=system.u_eq, y_eq=system.y_eq)
     return f"""<h2>Model</h2>
-<pre>x' = A (x - x_eq) + B w,   y = y_eq + C (x - x_eq),   w = min(upper, max(lower, u)) - u_eq + d</pre>
-<p>x: {_names(system.states)}. u: {_names(system.inputs)}. y: {_names(system.outputs)}. The inputs u are limited, the
-disturbances d act behind the limits. A sensor reports r floor((y + bias)/r + offset), r its resolution, or y + bias where r
-is 0. A step holds the inputs and is exact for every step length, x(t + h) = e<sup>A h</sup> x(t) + G w for deviations x;
-outputs depend on states only. For model exchange the same states are integrated by the importing tool.</p>
+<pre>x' = A (x - x_eq) + B w,   y = y_eq + C (x - x_eq),   w = min(upper, max(lower, u + d)) - u_eq</pre>
+<p>x: {_names(system.states)}. u: {_names(system.inputs)}. y: {_names(system.outputs)}. The disturbances d
+add to the inputs u, and their sum is limited. A sensor reports r floor((y + bias)/r + offset), r its resolution, or y + bias
+where r is 0. A step holds the inputs and is exact for every step length, x(t + h) = e<sup>A h</sup> x(t) + G w for
+deviations x; outputs depend on states only. For model exchange the same states are integrated by the importing tool.</p>
 <pre>{_matrices(A=system.A, B=system.B, C=system.C)}{equilibrium}</pre>"""
 
 

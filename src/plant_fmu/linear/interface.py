@@ -91,7 +91,7 @@ INTERFACE = Interface(
     description="linear plant with limited inputs and counting sensors, exact under held inputs",
     variables=(
         *_inputs("input", "input, limited before it acts"),
-        *_inputs("disturbance", "disturbance, added to the input behind its limits"),
+        *_inputs("disturbance", "disturbance, added to the input before its limits"),
         *_outputs(),
         *_states(),
         _size("state_count", MOST_STATES, "states"),

@@ -58,7 +58,7 @@ def shown_interface(system: System) -> Interface:
     offsets = [q._replace(unit="1") for q in system.outputs]
     groups = (
         _shown("input", system.inputs, "", "input, limited before it acts"),
-        _shown("disturbance", system.inputs, "_disturbance", "disturbance, added to {} behind its limits"),
+        _shown("disturbance", system.inputs, "_disturbance", "disturbance, added to {} before its limits"),
         _shown("output", system.outputs, "", "measured output"),
         _shown("state", true, "", "true state"),
         _shown("initial_state", system.states, "_0", "initial value of {}", x_eq),

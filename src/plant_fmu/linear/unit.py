@@ -23,7 +23,7 @@ Vector = tuple[float, ...]
 class LinearPlantUnit:
     """x' = A (x - x_eq) + B w, y = y_eq + C (x - x_eq), between two communication points.
 
-    w = min(upper, max(lower, u)) - u_eq + d is held over a step: u are the inputs, d the disturbances. Measured is
+    w = min(upper, max(lower, u + d)) - u_eq is held over a step: u are the inputs, d the disturbances. Measured is
     r floor((y + bias)/r + offset), r the resolution, or y + bias where r is 0. At the start w is 0.
 
     `values` maps every parameter of the compiled interface to its value. Raises UserError where they contradict each other.
@@ -89,8 +89,8 @@ class LinearPlantUnit:
         made = []
         for j, (lower, upper, u_eq) in enumerate(zip(self.lower, self.upper, self.u_eq, strict=True)):
             u, d = inputs[j], inputs[MOST_INPUTS + j]
-            w = min(upper, max(lower, u)) - u_eq + d
-            if not (isfinite(u) and isfinite(d) and isfinite(w)):
+            w = min(upper, max(lower, u + d)) - u_eq
+            if not (isfinite(u + d) and isfinite(w)):
                 raise UserError(
                     f"inputs must be finite, found input_{j + 1}, disturbance_{j + 1} = ({u:.17g}, {d:.17g})"
                 )

@@ -92,14 +92,15 @@ static void take_over(const linear_params *p, linear_state *s, const double x[LI
 /* w of one input, not flushed. */
 static double acting(const linear_params *p, const linear_inputs *u, int j)
 {
-    const double above = u->input[j] > p->lower[j] ? u->input[j] : p->lower[j];
+    const double driven = u->input[j] + u->disturbance[j];
+    const double above = driven > p->lower[j] ? driven : p->lower[j];
     const double limited = above < p->upper[j] ? above : p->upper[j];
-    return limited - p->input_equilibrium[j] + u->disturbance[j];
+    return limited - p->input_equilibrium[j];
 }
 
 int linear_acts(const linear_params *p, const linear_inputs *u, int j)
 {
-    return isfinite(u->input[j]) && isfinite(u->disturbance[j]) && isfinite(acting(p, u, j));
+    return isfinite(u->input[j] + u->disturbance[j]) && isfinite(acting(p, u, j));
 }
 
 static linear_status act(const linear_params *p, const linear_inputs *u, double w[LINEAR_INPUTS])
@@ -168,8 +169,8 @@ void linear_tangent(const linear_params *p, const linear_inputs *u, const double
     static const linear_outputs zero;
     double dw[LINEAR_INPUTS] = {0.0};
     for (int j = 0; j < p->input_count; j++) {
-        const int is_free = u->input[j] > p->lower[j] && u->input[j] < p->upper[j];
-        dw[j] = (is_free ? du->input[j] : 0.0) + du->disturbance[j];
+        const double driven = u->input[j] + u->disturbance[j];
+        dw[j] = driven > p->lower[j] && driven < p->upper[j] ? du->input[j] + du->disturbance[j] : 0.0;
     }
     *dy = zero;
     for (int i = 0; i < p->output_count; i++) {

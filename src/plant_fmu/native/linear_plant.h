@@ -1,6 +1,6 @@
 /* A linear plant of any size up to the largest, exact under held inputs: the C twin of plant_fmu/linear.
  *
- *     x' = A (x - x_eq) + B w,   y = y_eq + C (x - x_eq),   w = min(upper, max(lower, u)) - u_eq + d,
+ *     x' = A (x - x_eq) + B w,   y = y_eq + C (x - x_eq),   w = min(upper, max(lower, u + d)) - u_eq,
  *
  * and measured is r floor((y + bias)/r + offset), or y + bias where the resolution r is 0. Pure functions of their arguments:
  * no allocation, no globals, no input or output, every loop bounded. The order of operations is that of the Python twin.

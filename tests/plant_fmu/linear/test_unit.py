@@ -16,11 +16,11 @@ MASS = System(A=np.array([[0.0, 1.0], [0.0, 0.0]]), B=np.array([[0.0], [2.0]]))
 
 
 def test_mass_under_held_forces_follows_the_parabolas():
-    """x'' = 2 (sat(u) + d): the limit of 1 holds for u alone."""
+    """x'' = 2 sat(u + d): the limit of 1 holds for the sum."""
     plant = plant_of(MASS, x1_0=3.0, x2_0=-1.0, u1_lower=-1.0, u1_upper=1.0)
     x, v, time = 3.0, -1.0, 0.0
     for u, d, h in ((0.5, 0.0, 0.1), (7.0, 0.25, 2.0), (-7.0, -3.0, 1e-3), (0.0, 0.5, 10.0)):
-        acceleration = 2.0 * (min(1.0, max(-1.0, u)) + d)
+        acceleration = 2.0 * min(1.0, max(-1.0, u + d))
         x, v = x + v * h + acceleration * h * h / 2, v + acceleration * h
         assert plant.step(time, h, inputs_of([u], [d])) == []
         time += h
@@ -50,7 +50,7 @@ def test_random_plants_agree_with_scipy_on_the_same_inputs(seed):
     for _ in range(20):
         h = scale * 10 ** rng.uniform(-2, 0.5)
         u, d = rng.uniform(-3, 3, size=system.m), rng.uniform(-0.1, 0.1, size=system.m)
-        w = np.clip(u, np.asarray(system.lower), np.asarray(system.upper)) - np.asarray(system.u_eq) + d
+        w = np.clip(u + d, np.asarray(system.lower), np.asarray(system.upper)) - np.asarray(system.u_eq)
         plant.step(time, h, inputs_of(u.tolist(), d.tolist()))
         rate = lambda _, x, w=w: system.A @ (x - x_eq) + system.B @ w  # noqa: E731
         size = np.abs(system.A @ (x - x_eq)) * h + np.abs(system.B @ w) * h + 1e-300
