@@ -268,6 +268,7 @@ def export(
     A design or a parameter set only changes start values, so that nothing is compiled. `fmpy info FILE` shows them; each
     FMU carries its documentation. Native FMUs run without Python, the plant also for model exchange.
     """
+    from ihc_fmu.controller import resampled
     from ihc_fmu.estimation import remarks as remarks_of
     from ihc_fmu.pendulum.start_values import default_design
 
@@ -304,6 +305,7 @@ def export(
                 other_model=other_model,
             )
         else:
+            found = resampled(found, changes["controller"].get("sample_time"))
             paths = export_system(found, output, changes, kind, names, building, shown)
             say_notes(remarks_of(found))
     for path in paths:

@@ -53,6 +53,8 @@ def resampled(design: Design, sample_time: Value | str | None) -> Design:
     if sample_time is None:
         return design
     time = INTERFACE.by_name["sample_time"].check(sample_time)
+    if time == design.system.sample_time:
+        return design
     return replace(design, system=design.system.changed(sample_time=time))
 
 

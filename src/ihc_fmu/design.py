@@ -15,7 +15,7 @@ from filing.files import write_file
 from fmu_export.errors import UserError, shown
 from fmu_export.reading import parse_json, read_text
 
-from .block_form import BlockForm, block_form
+from .block_form import BlockForm
 from .certificate import Certificate, CertificateError, certify
 from .integral import IntegralAction, integral_action
 from .system import LARGEST, System, from_dict
@@ -66,8 +66,7 @@ class Design:
         check_scalars(self.mu, self.alpha, self.psi, self.d_max, self.tau)
         P.setflags(write=False)  # what is certified stays as it is
         object.__setattr__(self, "P", P)
-        form = block_form(self.A, self.B, [q.name for q in self.system.states])
-        object.__setattr__(self, "form", _near_one(form, P))
+        object.__setattr__(self, "form", _near_one(self.system.form, P))
         object.__setattr__(self, "certificate", certify(self))
         object.__setattr__(self, "integral", integral_action(self))
 

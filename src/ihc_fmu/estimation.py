@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from fmu_export.errors import UserError
@@ -27,6 +29,7 @@ LEAK = 1e-5
 """Rate at which biases are forgotten, relative to the bandwidth."""
 
 
+@lru_cache(maxsize=4)  # Riccati equations; asked for by the export and by what is remarked of it
 def estimator(design: Design) -> KalmanDesign:
     """Return the filter for the system of a design and its sample time; raises as `kalman_filter`.
 

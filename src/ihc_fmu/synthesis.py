@@ -15,7 +15,7 @@ from scipy.linalg import LinAlgError, solve_continuous_lyapunov
 
 from fmu_export.errors import UserError
 
-from .block_form import BlockForm, block_form
+from .block_form import BlockForm
 from .certificate import CertificateError
 from .design import QUIET, Design, check_scalars
 from .integral import check_degree, largest_mu
@@ -140,11 +140,12 @@ def direct_design(system: System, options: Options | None = None) -> Design:
     if bounds is None:
         raise UserError("a direct design needs u_max: without it K would grow beyond bounds")
     what = f"alpha = {options.alpha:g} 1/s, mu = {options.mu:g}"
+    system = system.changed(K=None)
     failed: InfeasibleError | None = None
     for rate in options.alpha * FASTER ** np.arange(RATES):
         try:
             S = _closed_form(system, options, float(rate), bounds)
-            return _largest_ball(system.changed(K=None), S, float(rate), options, what)
+            return _largest_ball(system, S, float(rate), options, what)
         except InfeasibleError as error:
             failed = failed or error
     assert failed is not None
@@ -153,7 +154,7 @@ def direct_design(system: System, options: Options | None = None) -> Design:
 
 def _closed_form(system: System, options: Options, rate: float, bounds: Array) -> Array:
     """Return S for which x = S y has the unit ball y' y <= 1 of the direct design in closed form with alpha = `rate`."""
-    form = _normal(block_form(system.A, system.B, [q.name for q in system.states]), rate)
+    form = _normal(system.form, rate)
     B = form.Bz / rate * bounds
     F = form.N / rate + DIRECT_MARGIN * np.diag(form.weights(options.mu))
     try:
@@ -172,7 +173,7 @@ def _check_gain(system: System) -> None:
         raise UserError("an inverse design needs a linear controller: K, k_lin or lqr in the system")
     slowest = _slowest(system, system.K)
     if slowest >= 0.0:
-        block_form(system.A, system.B, [q.name for q in system.states])  # refuses a pair for which no gain might
+        _ = system.form  # refuses a pair for which no gain might
         raise UserError(
             f"K must stabilize (A, B): the largest real part of the poles is {slowest:.4g} 1/s{_hint(system)}"
         )
@@ -214,7 +215,7 @@ def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
     omega is the geometric mean of the closed loop's poles.
     """
     assert system.K is not None
-    form = block_form(system.A, system.B, [q.name for q in system.states])
+    form = system.form
     closed = form.T @ (system.A + system.B @ system.K) @ form.T_inverse
     omega = float(np.exp(np.linalg.slogdet(closed)[1] / system.n))
     form = _normal(form, omega)
@@ -255,7 +256,7 @@ class _Program:
     def __init__(self, system: System, S: Array, omega: float, options: Options, what: str) -> None:
         self.system, self.omega, self.options, self.what = system, omega, options, what
         self.bounds = options.bounds(system.m)
-        form = block_form(system.A, system.B, [q.name for q in system.states])
+        form = system.form
         self.K_0, self.G = form.K_0, form.generator(options.mu)
         if options.delta_max is not None and not 0 <= options.index < system.n:
             raise UserError(f"the bounded state must be one of 0..{system.n - 1}, found {options.index}")

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,8 @@ from filing.origin import WRITTEN
 from fmu_export.errors import UserError, shown
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
+
+from .block_form import BlockForm, block_form
 
 Array = np.ndarray
 
@@ -289,6 +291,11 @@ class System:
         """Number of outputs."""
         return len(self.outputs)
 
+    @cached_property
+    def form(self) -> BlockForm:
+        """The block form of (A, B); raises UserError for a pair that is not controllable."""
+        return block_form(self.A, self.B, [q.name for q in self.states])
+
     @property
     def b(self) -> Array:
         """The only column of B, shape (n,); UserError for several inputs."""
@@ -407,13 +414,13 @@ class System:
         import tomli_w  # noqa: PLC0415
 
         head = [f"# {line}".rstrip() for line in (WRITTEN, *comment.splitlines())]
-        rows = {}
+        rows, entries = {}, self.as_dict()
         for name in ("A", "B", "C", "K"):  # a row a line, which no writer of TOML does
-            data = self.as_dict().get(name)
+            data = entries.get(name)
             if data is not None:
                 lines = ",\n".join(f"    [{', '.join(map(repr, row))}]" for row in data)
                 rows[name] = f"{name} = [\n{lines},\n]\n"
-        rest = {name: value for name, value in self.as_dict().items() if name not in rows}
+        rest = {name: value for name, value in entries.items() if name not in rows}
         text = tomli_w.dumps({"name": rest.pop("name")}) + "".join(rows.values()) + tomli_w.dumps(rest)
         return "\n".join(head) + "\n" + text
 
