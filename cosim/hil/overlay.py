@@ -15,13 +15,12 @@ from plant_fmu.parameters import ParameterSet, QubeParameters
 from ..errors import UserError
 from ..fmu import start_values_of
 from ..master import Component, Signal, System, simulate
-from ..metrics import wrapped
 from ..parameter_files import chosen
 from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
 from .identify import Beginning, beginning
-from .replay import MEASURED, driven_inputs, driven_values
+from .replay import driven_inputs, driven_values
 from .scaling import RESOLUTION
 
 CHANCE = (
@@ -145,16 +144,3 @@ def alike(results: Mapping[str, Result]) -> dict[str, Result]:
 
 def _end(result: Result) -> float:
     return float(result.time[-1]) if len(result.time) else 0.0
-
-
-def differences(measured: Result, simulated: Result) -> dict[str, float]:
-    """Return the RMS difference of the measured angles [rad] and of the voltage [V] over the common rows."""
-    rows = np.searchsorted(simulated.time, measured.time - 1e-9)
-    rows = rows[rows < len(simulated.time)]
-    found = {}
-    for name in (*MEASURED, "controller.voltage"):
-        difference = simulated[name][rows] - measured[name][: len(rows)]
-        if name == "plant.delta_encoder":
-            difference = wrapped(difference)
-        found[name] = float(np.sqrt(np.mean(difference**2)))
-    return found
