@@ -431,7 +431,7 @@ def test_arm_beyond_90_degrees_is_a_warning(bench, run):
 def test_stall_limits_the_voltage(bench, run, monkeypatch):
     sign = [1.0]
 
-    def command(self, theta, delta):
+    def command(self, theta, delta, number):
         sign[0] = -sign[0]
         return 8.0 * sign[0]
 
