@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import UserError
 from ..fmu import FmuError
 from ..interrupts import second_ends
-from ..master import Component, Signal
+from ..structure import Component, Signal
 from . import checks, driven
 from .device import LED_IDLE, Device, DeviceError
 from .log import percentiles

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import UserError
 from ..evaluation import ARM_SET_POINT
 from ..fmu import Instance, as_value
-from ..master import Signal
 from ..room import check_memory
+from ..structure import Signal
 from ..wiring import CONTROLLER
 from .guards import Limits
 

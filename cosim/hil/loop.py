@@ -18,11 +18,11 @@ import numpy as np
 from ..errors import UserError
 from ..fmu import RECORDED, FmuError, Instance
 from ..interrupts import second_ends
-from ..master import Component, Signal
 from ..metrics import STABILIZING
 from ..native_loop import NativeLoop
 from ..results import Result, versions
 from ..signals import STOPPING
+from ..structure import Component, Signal
 from . import checks, driven
 from .device import LED_BALANCE, LED_IDLE, LED_STOPPED, LED_SWING_UP, Device, DeviceError
 from .guards import STALL_VOLTAGE, Action, Guard

@@ -14,11 +14,12 @@ from plant_fmu.parameters import ParameterSet, QubeParameters
 
 from ..errors import UserError
 from ..fmu import start_values_of
-from ..master import Component, Signal, System, simulate
+from ..master import simulate
 from ..parameter_files import chosen
 from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
+from ..structure import Component, Signal, System
 from .identify import Beginning, beginning
 from .replay import driven_inputs, driven_values
 from .scaling import RESOLUTION

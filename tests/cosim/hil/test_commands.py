@@ -19,6 +19,7 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.hil.log import LiveLog
+from cosim.hil.replay import replay
 from cosim.hil.simulated import HOLD
 from cosim.results import Result
 from tests.cosim.command import ended, files, finished, sentence, started
@@ -118,12 +119,16 @@ def test_earlier_run_stays(tmp_path, hil, run):
     assert second.tolist() == first[:201].tolist()
 
 
-def test_run_on_the_stand_in(tmp_path, process, on_stand_in):
+def test_run_on_the_stand_in(tmp_path, fmus, process, on_stand_in):
     record = on_stand_in()
-    done = process("--device", "qube", "--duration", "0.5")
+    square = ("--scenario", "device_square_wave", "--set", "signals.0.start=0.2")
+    done = process("--device", "qube", "--duration", "0.5", *square)
     assert done.returncode == 0, done.stderr
     assert "while stopping" not in done.stdout
-    assert len(Result.load(tmp_path / "out" / "run.csv").time) == 501
+    result = Result.load(tmp_path / "out" / "run.csv")
+    assert result["controller.theta_setpoint"].tolist() == [0.0] * 201 + [0.3] * 300
+    replayed = replay(result, fmus / "IhcController.fmu")
+    assert (replayed.first, replayed.samples) == (None, 500)
     events = record()
     assert max(abs(event["values"][0]) for event in events if event["what"] == "AO0") > 0.1
     last = {event["what"]: event["values"] for event in events}
