@@ -49,7 +49,10 @@ def hil(
         bool, typer.Option("--check", help="Test installation, controller, board, signs and timing instead of running.")
     ] = False,
     scenario: Annotated[
-        str, typer.Option(help=f"Controller's start values, and the plant of a simulated device. {SCENARIO_HELP}")
+        str,
+        typer.Option(
+            help=f"Controller's start values and signals, and the plant of a simulated device. {SCENARIO_HELP}"
+        ),
     ] = "device",
     change: SetOption = None,
     fmus: FmusOption = Path("fmus"),
