@@ -49,7 +49,8 @@ class Plant(Clock):
 HOST = """
 import gc, sys
 from pathlib import Path
-from cosim.master import Component, System, simulate
+from cosim.master import simulate
+from cosim.structure import Component, System
 
 for path in sys.argv[1:]:
     for _ in range(3):
