@@ -40,7 +40,7 @@ from .display import (
     warn_of_messages,
 )
 from .errors import Interrupted, SimulationError, UserError
-from .export import EXPORTED, PENDULUM, Kind, Smc, export_units
+from .export import EXPORTED, Kind, Smc, export_units
 from .hil import commands as hil_commands
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, varied
 from .system_export import export_system, exported_files
@@ -271,6 +271,9 @@ def export(
     from ihc_fmu.controller import resampled
     from ihc_fmu.estimation import remarks as remarks_of
     from ihc_fmu.pendulum.start_values import default_design
+    from ihc_fmu.system import PENDULUM
+
+    from . import certified
 
     changes: dict[str, dict[str, Any]] = {"plant": {}, "controller": {}}
     for name, value in assignments(change):
@@ -308,6 +311,7 @@ def export(
             found = resampled(found, changes["controller"].get("sample_time"))
             paths = export_system(found, output, changes, kind, names, building, shown)
             say_notes(remarks_of(found))
+    say_notes(certified.remarks(certified.start_values(found), changes["controller"]))
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 
@@ -383,7 +387,7 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from .metrics import can_draw, can_evaluate
-    from .scenario import build_system, remarks, run_scenario
+    from .scenario import build_system, remarks, rest_remarks, run_scenario
 
     chosen, folder, fmus = _loaded(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -397,7 +401,8 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
-    say_notes(remarks(build_system(chosen, fmus, folder)))
+    system = build_system(chosen, fmus, folder)
+    say_notes(remarks(system, chosen))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -424,6 +429,7 @@ def run(
         earlier.unlink()
         console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
     warn_of_messages(result)
+    say_notes(rest_remarks(result, system))
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and can_draw(result):
         from .plots import save_overview
@@ -509,7 +515,7 @@ def compare(
         if not names or not set(names) <= set(known) or len(set(names)) < len(names):
             raise UserError(f"--laws must be different ones of {', '.join(known)}, found {laws or ', '.join(names)!r}")
     check_names(names)
-    say_notes(remarks(build_system(chosen, fmus, folder)))
+    say_notes(remarks(build_system(chosen, fmus, folder), chosen))
     _check_folder(output / chosen.name, names)
     _compare([Study(chosen, folder, draws, entry, values)], fmus, output, names, workers)
 

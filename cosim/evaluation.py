@@ -19,6 +19,7 @@ from fmu_export.variables import did_you_mean
 from .errors import UserError
 from .master import Signal, Wire
 from .typed import Finite, Positive, checked
+from .unit_definitions import NO_UNIT, unit_in, unit_of
 from .wiring import CONTROLLER, SET_POINT, Variables
 
 if TYPE_CHECKING:
@@ -34,8 +35,6 @@ SWING_UP = "swing_up"
 
 TRUE = "_true"
 """How the names of a LinearPlant's states end that are also measured: they have the set-point of what is measured."""
-
-NO_UNIT = "1"
 
 
 class EvaluateSection(BaseModel):
@@ -298,7 +297,7 @@ class _Found:
             raise UserError(f"evaluate.{entry} takes outputs, and inputs with a signal; {name} is an {found.causality}")
         if found.type == "String":
             raise UserError(f"evaluate.{entry} takes numbers; {name} is a String")
-        return found.unit or NO_UNIT
+        return unit_in(name, self.variables, self.wires)
 
     def error(self, name: str) -> dict[str, Any]:
         """Return an error's description: as the controller is given it, less its set-point."""
@@ -308,7 +307,7 @@ class _Found:
             return about
         variable = wire.target.partition(".")[2]
         if wire.converts:
-            seen = self.variables[CONTROLLER][variable].unit or NO_UNIT
+            seen = unit_of(self.variables[CONTROLLER][variable])
             about |= {"factor": wire.factor, "offset": wire.offset, "unit": seen}
         return about | self._set_point(variable)
 

@@ -315,6 +315,16 @@ def can_evaluate(result: Result) -> bool:
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
+def at_rest(result: Result) -> bool:
+    """Return whether no error and no control changes in a run, and each error is 0 but for rounding; needs a judged one."""
+    about = evaluation_in(result)
+    if not can_evaluate(result):
+        return False
+    signals = [result[s.signal] for s in (*about.errors, *about.controls)]
+    errors = [(error(result, e), given(result, e)) for e in about.errors]
+    return all(np.ptp(s) == 0.0 for s in signals) and all(np.all(np.abs(e) <= 1e-12 * np.abs(y)) for e, y in errors)
+
+
 def can_draw(result: Result) -> bool:
     """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
     about = evaluation_in(result)

@@ -120,7 +120,7 @@ def hil(
     _check_device(chosen)
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
-    say_notes(remarks(system))
+    say_notes(remarks(system, chosen))
     settings = Settings(
         rate=rate,
         duration=duration,

@@ -36,6 +36,8 @@ LONGEST_NAME = 100
 """Most characters of a name or a unit."""
 DIRECT = "direct"
 """In place of a gain of integral action: choose one."""
+PENDULUM = "rotary_pendulum"
+"""Name of the systems whose controller is the pendulum's, with swing-up."""
 LAWS = ("u = K x", "u = -K x")
 """How a gain may be meant."""
 

@@ -309,7 +309,7 @@ def test_a_design_for_another_model_meets_no_plant(design, tmp_path):
     assert build_system(Scenario().changed({"controller.other_model": True}), tmp_path).components
     double_integrator = System(A=np.eye(2, k=1), B=np.array([0.0, 1.0]), K=np.array([-1.0, -2.0]))
     two = inverse_design(double_integrator, Options(alpha=0.1))
-    with pytest.raises(UserError, match="takes designs of order 4, found order 2"):
+    with pytest.raises(UserError, match=r"takes designs of 4 states and 1 input, found 2 and 1$"):
         export_units(two, output=tmp_path)
 
 

@@ -189,7 +189,7 @@ def test_a_set_point_may_come_from_a_component_in_another_unit(units, scenario):
 
 
 def test_only_real_numbers_convert(tiny_fmu, scenario):
-    wires = 'wires = ["plant.whole_out -> plant.whole * 2.0"]'
+    wires = 'wires = ["plant.whole_out->plant.whole*2.0"]'
     chosen, folder = scenario(f'{wires}\nplant.fmu = "Tiny.fmu"\ncontroller.fmu = "none"\nrun.duration = 0.01')
     with pytest.raises(
         UserError, match=r"may convert real numbers by finite ones, found Integer, factor 2 and offset 0"
@@ -214,7 +214,13 @@ def test_a_wire_may_have_an_offset(units, scenario):
     ("text", "problem"),
     [
         ('wires = ["plant.position - controller.position"]', "wires.0 must be 'component.output -> component.input'"),
+        ('wires = ["a.b -> c.d * nan"]', "wires.0 must have a finite number behind \\*, found 'nan'"),
+        ('wires = ["a.b -> c.d * 1e999"]', "wires.0 must have a finite number behind \\*, found '1e999'"),
         ('wires = [{ source = "plant.position" }]', "wires.0.target is required"),
+        (
+            'wires = [{ source = "a.b", target = "c.d", factor = nan }]',
+            "wires.0.factor must be a finite number, found nan",
+        ),
         (
             'wires = [{ source = "a.b", target = "c.d", factor = "x" }]',
             "wires.0.factor must be a valid number, found 'x'",
@@ -477,7 +483,7 @@ def test_several_controls_add_up_where_they_have_one_unit(units, scenario):
             {"evaluate.errors": ["plant.force"]},
             r"evaluate\.errors takes outputs, and inputs with a signal; plant\.force is an input",
         ),
-        ({"evaluate.scales": [1.0]}, r"must have a scale for each of 2 errors, found 1"),
+        ({"evaluate.scales": [1.0]}, r"^evaluate: must have a scale for each of 2 errors, found 1$"),
         ({"evaluate.errors": []}, r"evaluate\.errors must have at least one entry, found none"),
         ({"evaluate.scales": [0.0, 1.0]}, r"evaluate\.scales\.0 must be greater than 0"),
     ],
