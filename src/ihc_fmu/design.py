@@ -18,7 +18,7 @@ from fmu_export.reading import parse_json, read_text
 from .block_form import BlockForm
 from .certificate import Certificate, CertificateError, certify
 from .integral import IntegralAction, integral_action
-from .system import LARGEST, PENDULUM, System, from_dict
+from .system import LARGEST, PENDULUM, QUIET, System, from_dict
 
 Array = np.ndarray
 
@@ -26,9 +26,6 @@ FORMAT = "qube-ihc design 2"
 FORMAT_1 = "qube-ihc design 1"
 ORDER_1 = 4
 """Of designs for one input without names, which are read too; those of the order of the pendulum were for it."""
-
-QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-"""Numbers beyond the range end in a refusal by the block form or the certificate, not in warnings."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -166,7 +166,7 @@ def test_requests_that_no_design_can_meet_are_refused(paper):
     A, b, k_lin = paper
     with pytest.raises(ValueError, match="must be controllable"):
         inverse_design(system(-np.eye(4), b, np.zeros(4)))
-    with pytest.raises(ValueError, match=r"K must have 1 rows of 4 numbers to fit B and A, found shape \(1, 3\)"):
+    with pytest.raises(ValueError, match=r"K must have 1 row of 4 numbers to fit B and A, found shape \(1, 3\)"):
         inverse_design(system(A, b, k_lin[:3]))
     with pytest.raises(ValueError, match=r"one of 0\.\.3, found 4"):
         inverse_design(system(A, b, k_lin), Options(delta_max=0.1, index=4))
