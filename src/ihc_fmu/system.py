@@ -373,10 +373,17 @@ class System:
         `rest` are other fields of System; labels of the model become names where none are given. A C that is the unit
         matrix stands for measured states.
         """
+        if not all(hasattr(model, name) for name in "ABCD"):
+            raise UserError(f"the model must have A, B, C and D, found a {type(model).__name__}")
         if getattr(model, "dt", None) not in (None, 0):
             raise UserError(f"the model must be in continuous time, found dt = {model.dt}")
-        if np.any(np.asarray(model.D, dtype=float)):
-            raise UserError("the model must have D = 0")
+        D = np.asarray(model.D, dtype=float)
+        for i, j in np.argwhere(D)[:1]:
+            labels = [getattr(model, f"{kind}_labels", None) for kind in ("input", "output")]
+            names = [
+                label[k] if label else f"{kind}{k + 1}" for label, k, kind in zip(labels, (j, i), "uy", strict=True)
+            ]
+            raise UserError(f"the model must have D = 0, found {D[i, j]:g} from {names[0]} to {names[1]}")
         C = np.asarray(model.C, dtype=float)
         given: dict[str, Any] = {"A": np.asarray(model.A), "B": np.asarray(model.B), "K": meant(K, law)}
         if C.shape != np.shape(model.A) or not np.array_equal(C, np.eye(len(C))):
