@@ -511,6 +511,20 @@ def remarks(system: System, scenario: Scenario) -> list[str]:
     return said
 
 
+def with_tolerances(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Scenario:
+    """Return the scenario with the tolerances of settling that it does not name: those of a run of it as it stands.
+
+    So runs that are compared are held against the same ones. Raises as `run_scenario`.
+    """
+    from .metrics import with_tolerances as judged_by  # noqa: PLC0415
+
+    judged = evaluation(scenario, fmus, folder)
+    if judged is None or None not in judged.settled:
+        return scenario
+    found = judged_by(run_scenario(scenario, fmus, folder), judged).settled
+    return scenario.changed({"evaluate.tolerances": found})
+
+
 def rest_remarks(result: Result, system: System) -> list[str]:
     """Return in a sentence that nothing moved in a run of `system`, and how something would; nothing where it did.
 
