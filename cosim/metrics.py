@@ -25,7 +25,7 @@ from .evaluation import (
     evaluation_in,
     pendulum_evaluation,
 )
-from .results import Result
+from .recording import Recording
 
 Array = np.ndarray
 
@@ -310,7 +310,7 @@ def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) 
     return [name for name in needed if name not in there]
 
 
-def can_evaluate(result: Result) -> bool:
+def can_evaluate(result: Recording) -> bool:
     """Return whether `result` has the signals that its metrics need."""
     about = evaluation_in(result)
     if not about.errors or missing_signals(result.signals, about):
@@ -321,7 +321,7 @@ def can_evaluate(result: Result) -> bool:
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
-def at_rest(result: Result) -> bool:
+def at_rest(result: Recording) -> bool:
     """Return whether no error and no control changes in a run, and each error is 0 but for rounding; needs a judged one."""
     about = evaluation_in(result)
     if not can_evaluate(result):
@@ -331,13 +331,13 @@ def at_rest(result: Result) -> bool:
     return all(np.ptp(s) == 0.0 for s in signals) and all(np.all(np.abs(e) <= 1e-12 * np.abs(y)) for e, y in errors)
 
 
-def can_draw(result: Result) -> bool:
+def can_draw(result: Recording) -> bool:
     """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
     about = evaluation_in(result)
     return about.kind != "pendulum" or about.norm in result.signals
 
 
-def error(result: Result, about: ErrorSignal) -> Array:
+def error(result: Recording, about: ErrorSignal) -> Array:
     """Return an error at each row: what the controller is given of a signal, less its set-point."""
     e, point = given(result, about), set_point(result, about)
     if point is not None:
@@ -345,12 +345,12 @@ def error(result: Result, about: ErrorSignal) -> Array:
     return wrapped(e) if about.wraps else e
 
 
-def given(result: Result, about: ErrorSignal) -> Array:
+def given(result: Recording, about: ErrorSignal) -> Array:
     """Return a judged signal at each row, as the controller is given it."""
     return _converted(result[about.signal], about.factor, about.offset)
 
 
-def set_point(result: Result, about: ErrorSignal) -> Array | None:
+def set_point(result: Recording, about: ErrorSignal) -> Array | None:
     """Return an error's set-point at each row; None where it has none."""
     if about.set_point is not None:
         return _converted(result[about.set_point], about.point_factor, about.point_offset)
@@ -362,7 +362,7 @@ def _converted(signal: Array, factor: float, offset: float) -> Array:
     return plain if factor == 1.0 and offset == 0.0 else factor * plain + offset
 
 
-def error_norm(result: Result, about: Evaluation, group: Sequence[int]) -> Array:
+def error_norm(result: Recording, about: Evaluation, group: Sequence[int]) -> Array:
     """Return |e| of a group of errors at each row, each over its scale where there are scales."""
     errors = [error(result, about.errors[k]) for k in group]
     if about.scales is not None:
@@ -372,7 +372,7 @@ def error_norm(result: Result, about: Evaluation, group: Sequence[int]) -> Array
     return np.hypot(*errors) if len(errors) == 2 else np.sqrt(sum(e**2 for e in errors))
 
 
-def angle_norm(result: Result) -> Array:
+def angle_norm(result: Recording) -> Array:
     """Return |q| [rad] of the pendulum at each row: of the true angles where the result has them, else of the measured."""
     about = evaluation_in(result)
     if about.kind != "pendulum" or any(e.signal not in result.signals for e in about.errors):
@@ -394,7 +394,7 @@ def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:
     return np.flatnonzero(acts & ~np.concatenate([[False], acts[:-1]]))
 
 
-def kept_upright(result: Result) -> bool:
+def kept_upright(result: Recording) -> bool:
     """Return whether the stabilizing law took over once and acts at the end; without such a mode, whether all is finite."""
     about = evaluation_in(result)
     acts = None if about.mode is None else about.mode.value(ACTING)
@@ -409,13 +409,13 @@ def variation_rate(time: Array, signal: Array) -> float:
     return float(np.sum(np.abs(np.diff(signal))) / (time[-1] - time[0])) if len(time) > 1 else math.nan
 
 
-def has_every_row(result: Result) -> bool:
+def has_every_row(result: Recording) -> bool:
     """Return whether rows are a communication step apart, as far as the result says how long a step is."""
     step = result.metadata.get("step")
     return not isinstance(step, int | float) or float(np.median(np.diff(result.time))) < 1.5 * step
 
 
-def evaluate(result: Result, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
+def evaluate(result: Recording, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
     """Return the metrics of `result`; `tolerance` of |e| (None: the result's own) defines settling, `steady` [s] the window.
 
     Integrals are sums over the steps: |e|^2 by the trapezoidal rule, u^2 exactly, since the control of a row was held
@@ -435,7 +435,7 @@ def evaluate(result: Result, tolerance: float | None = None, steady: float = WIN
     return Metrics({name: judge.number(q) for name, q in quantities.items()}, quantities)
 
 
-def with_tolerances(result: Result, about: Evaluation) -> Evaluation:
+def with_tolerances(result: Recording, about: Evaluation) -> Evaluation:
     """Return what a result is judged by with tolerances: SHARE of each group's largest |e| in it, where there are none."""
     if None not in about.settled:
         return about
@@ -447,7 +447,7 @@ def with_tolerances(result: Result, about: Evaluation) -> Evaluation:
 class _Judge:
     """A result with its errors' norms and controls at hand."""
 
-    def __init__(self, result: Result, about: Evaluation, tolerance: float | None, steady: float) -> None:
+    def __init__(self, result: Recording, about: Evaluation, tolerance: float | None, steady: float) -> None:
         self.time, self.steady = result.time, steady
         self.own = dict(zip(about.error_groups.values(), map(float, about.settled), strict=True))  # type: ignore[arg-type]
         self.settled = self.own if tolerance is None else dict.fromkeys(self.own, tolerance)

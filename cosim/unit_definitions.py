@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 if TYPE_CHECKING:
-    from .master import Wire
+    from .structure import Wire
 
 NO_UNIT = "1"
 

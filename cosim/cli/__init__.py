@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from .. import signals
-from ..errors import SimulationError, UserError
+from ..errors import UserError
 from .compare import compare
 from .demo import demo
 from .design import design
@@ -94,6 +94,7 @@ def main() -> None:
 
     from ..fmu import FmuError
     from ..hil.device import DeviceError
+    from ..results import SimulationError
 
     signals.as_ctrl_c()
     degrade_output()

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from ..hil.device import Device
     from ..hil.loop import Report
     from ..hil.settings import Settings
-    from ..master import Component
     from ..results import Result
     from ..scenario import Scenario
+    from ..structure import Component
 
 
 LOWEST_RATE, HIGHEST_RATE = 100.0, 10_000.0

@@ -10,7 +10,7 @@ import typer
 
 from filing.ownership import check_replaceable, is_ours
 
-from ..errors import Interrupted, SimulationError, UserError
+from ..errors import UserError
 from .display import console, escaped, print_metrics, progress, say_notes, warn_of_messages
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded
 
@@ -38,6 +38,7 @@ def run(
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from ..metrics import can_draw, can_evaluate
+    from ..results import Interrupted, SimulationError
     from ..scenario import build_system, remarks, rest_remarks, run_scenario
 
     chosen, folder, fmus = loaded(scenario, fmus)

@@ -118,7 +118,7 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
             "start": 1.0,
         },
         "signals": (),
-        "evaluate": {"errors": None, "controls": None, "scales": None, "tolerance": None},
+        "evaluate": dict.fromkeys(("errors", "controls", "scales", "tolerance", "tolerances")),
         "record": {"outputs": ("plant.theta",), "every": 4},
     }
     start = scenario.plant.start

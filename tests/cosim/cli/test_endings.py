@@ -15,11 +15,11 @@ import pytest
 from cosim import signals
 from cosim.cli import main
 from cosim.cli.display import console, degrade_output, problems
-from cosim.errors import SimulationError, UserError
+from cosim.errors import UserError
 from cosim.fmu import FmuError
 from cosim.hil.device import DeviceError
 from cosim.plots import save_comparison, save_overview
-from cosim.results import Result
+from cosim.results import Result, SimulationError
 from fmu_export.native_build import BuildError
 from tests.cosim.command import started
 
