@@ -17,10 +17,10 @@ from fmu_export.errors import UserError
 
 from .block_form import BlockForm
 from .certificate import CertificateError
-from .design import QUIET, Design, check_scalars
+from .design import Design, check_scalars
 from .integral import check_degree, largest_mu
 from .lmi import InfeasibleError, Limit, Problem, decay, is_refuted, search, solve
-from .system import System
+from .system import QUIET, System
 
 Array = np.ndarray
 
@@ -86,7 +86,8 @@ class Options:
             return None
         bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))
         if bounds.shape not in ((1,), (m,)):
-            raise UserError(f"u_max must be a number or {m} numbers, one for each input, found {len(bounds)}")
+            several = "" if m == 1 else f" or {m} numbers, one for each input"
+            raise UserError(f"u_max must be a number{several}, found {len(bounds)}")
         return np.broadcast_to(bounds, (m,))
 
 
@@ -445,6 +446,13 @@ def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Sa
 def _bounds_from_limits(system: System) -> tuple[list[float], str]:
     room = np.minimum(system.upper - system.u_eq, system.u_eq - system.lower)  # type: ignore[operator]
     limited = np.isfinite(room)
+    least, most = (scale / SHARE_OF_LIMIT for scale in SCALES)
+    for q, size in zip(system.inputs, room, strict=True):
+        if np.isfinite(size) and not least <= size <= most:
+            raise UserError(
+                f"limits must leave a room of {least:g} to {most:g} around the inputs at the equilibrium, half of which is "
+                f"u_max where none is given, found {size:g} for {q.name}"
+            )
     bounds = np.where(limited, SHARE_OF_LIMIT * room, 1.0).tolist()
     shown = ", ".join(
         f"{bound:g}{'' if q.unit == '1' else ' ' + q.unit}" for bound, q in zip(bounds, system.inputs, strict=True)
