@@ -485,21 +485,18 @@ def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Ma
 
 def _check_model(system: System) -> None:
     """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
-    from .model_match import judged_pair, misfit  # noqa: PLC0415
+    from .model_match import misfit  # noqa: PLC0415 - heavy
 
-    pair = judged_pair(system)
-    problem = None if pair is None else misfit(*pair)
+    problem = misfit(system)
     if problem is not None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")
 
 
 def remarks(system: System) -> list[str]:
     """Return what is to be known of a system's controller on its plant, although they fit, see `model_match`."""
-    from .model_match import judged_pair  # noqa: PLC0415
-    from .model_match import remarks as found  # noqa: PLC0415
+    from .model_match import remarks as found  # noqa: PLC0415 - heavy
 
-    pair = judged_pair(system)
-    return [] if pair is None else found(*pair)
+    return found(system)
 
 
 def run_scenario(

@@ -1,4 +1,4 @@
-"""Where controller and plant meet: what differs between the design's model and the plant's is found and named."""
+"""The pendulum and its controller: what differs between the design's model and the plant's is found and named."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.model_match import Model, design_model, distance, misfit, plant_model, remarks
+from cosim.pendulum_match import Model, design_model, distance, misfit, plant_model, remarks
 from ihc_fmu.companion import chain_form
 from ihc_fmu.pendulum.interface import matrix, vector
 from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN
