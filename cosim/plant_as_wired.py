@@ -7,6 +7,7 @@ after LONGEST. What comes of it is a model to compare with, not to design with: 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from fmu_export.errors import UserError
+from fmu_export.units import per_second
 
 from .derivatives import FIRST, EvaluationError
 from .design_match import Seen
@@ -74,13 +76,13 @@ class Question:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The plant as it is seen, the values of its states and inputs there, and what does not rest, in words; None where all does.
+    """The plant as it is seen, and where: the values of its states and inputs.
 
-    `placed`: whether all states had their places.
+    `moving`: what does not rest there, in words, None where all does. `placed`: whether all states had their places.
     """
 
     seen: Seen
-    values: dict[str, float]
+    values: Mapping[str, float]
     moving: str | None
     placed: bool
 
@@ -141,7 +143,8 @@ def _width(size: float, place: Place | None) -> float:
 def _seen(plant: Plant, model: CoarseModel, question: Question) -> Seen | None:
     """Return the matrices between the controller's numbers, without outputs that are not smooth; None where none is."""
     names = [v.name for v in plant.outputs]
-    ports = [port for port in question.outputs if model.smooth[names.index(port.name)] and port.factor]
+    told = [port for port in question.outputs if model.smooth[names.index(port.name)] and port.factor]
+    ports = sorted(told, key=lambda port: port.number)
     if not ports:
         return None
     chosen, factors = [names.index(port.name) for port in ports], np.array([port.factor for port in ports])
@@ -160,5 +163,4 @@ def _moving(plant: Plant, model: CoarseModel, widths: Array) -> str | None:
     if not fast.any():
         return None
     i = int(np.argmax(np.where(fast, np.abs(model.rates) / np.maximum(allowed, 1e-300), 0.0)))
-    unit = unit_of(plant.states[i])
-    return f"{plant.names[i]}' is {model.rates[i]:.3g}{'' if unit == '1' else f' {unit}'}/s"
+    return f"{plant.names[i]}' is {model.rates[i]:.3g} {per_second(unit_of(plant.states[i]))}"

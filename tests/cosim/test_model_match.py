@@ -1,0 +1,121 @@
+"""Where controllers and plants of any kind meet: what is found, what is said, and where nothing is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+
+from cosim import plant_as_wired
+from cosim.export import Kind
+from cosim.scenario import Scenario, build_system, remarks
+from cosim.system_export import export_system
+from fmu_export.errors import UserError
+from ihc_fmu.controller import design
+from ihc_fmu.system import from_dict
+from tests.cosim.linear_fmu import linear_fmu
+
+A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.3, 1.0], [0.0, 0.0, -5.0]])
+B = np.array([[0.0], [0.0], [5.0]])
+ENTRIES = {
+    "name": "spring",
+    "A": A.tolist(),
+    "B": B.tolist(),
+    "C": [[1.0, 0.0, 0.0]],
+    "lqr": {"Q": [1.0, 0.1, 0.0], "R": [1.0]},
+    "states": ["angle [rad]", "rate [rad/s]", "torque [N.m]"],
+    "inputs": ["command [V]"],
+    "outputs": ["encoder [rad]"],
+    "limits": [10.0],
+    "resolutions": [1e-3],
+}
+OTHER = "the controller was designed for another"
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The FMUs of a design for ENTRIES, and of the same plant in Python."""
+    folder = tmp_path_factory.mktemp("spring")
+    made = design(from_dict(ENTRIES))
+    export_system(made, folder / "python", kind=Kind.python)
+    export_system(made, folder)
+    (folder / "python" / "spring_linear_plant.fmu").rename(folder / "python_plant.fmu")
+    return folder
+
+
+def built(folder, plant="spring_linear_plant.fmu", **changes):
+    """Return the system of the controller and a plant."""
+    parts = {"plant.fmu": plant, "controller.fmu": "spring_controller.fmu"}
+    return build_system(Scenario().changed({**parts, **{n.replace("__", "."): v for n, v in changes.items()}}), folder)
+
+
+def wired(output="encoder", more="", back=""):
+    return [f"plant.{output} -> controller.encoder{more}", f"controller.command -> plant.command{back}"]
+
+
+@pytest.mark.parametrize("plant", ["spring_linear_plant.fmu", "python_plant.fmu"])
+def test_counted_linear_plants_of_both_kinds_are_judged(exported, plant):
+    system = built(exported, plant, plant__start={"angle_0": 0.5, "encoder_resolution_offset": 0.2})
+    assert remarks(system) == []
+    for wires, problem in (
+        (wired(back=" * -1"), "the sign of command is the opposite"),
+        (wired(more=" * 57.29578"), "encoder is in units of 57.3 rad instead of rad"),
+        (wired(back=" * 1000"), "command is in thousandths instead of V"),
+        (wired("rate"), "its states are in the order rate, angle, torque, not angle, rate, torque"),
+    ):
+        with pytest.raises(
+            UserError, match=f"{OTHER} model than the plant's, as it is wired: {problem}; controller.other"
+        ):
+            built(exported, plant, wires=wires)
+    assert built(exported, plant, wires=wired(back=" * -1"), controller__other_model=True).components
+
+
+def test_a_plant_of_others_is_judged_by_its_answers_whatever_its_states_are(exported):
+    T = np.array([[1.0, 0.0, 0.0], [0.3, 2.0, 0.1], [0.0, -1.0, 3.0]])  # states of its own
+    mixed, names = T @ A @ np.linalg.inv(T), [("encoder", "rad"), ("p", None), ("q", None)]
+
+    def plant(A, B, C):
+        starts = [f"{name}_0" for name, _ in names]
+        return linear_fmu(
+            exported / "foreign.fmu", [("command", "V")], names, A, B, C, x0=(0.4, 0.0, 0.0), starts=starts
+        )
+
+    plant(mixed, T @ B, np.eye(3))
+    assert remarks(built(exported, "foreign.fmu")) == []
+    plant(mixed - 0.7 * np.eye(3), T @ B, np.eye(3))
+    (said,) = remarks(built(exported, "foreign.fmu"))
+    assert said.startswith("the controller's model is not quite the plant's: encoder answers otherwise by ")
+    plant(-mixed, T @ B, np.eye(3))
+    with pytest.raises(
+        UserError, match=f"{OTHER} system than this plant: in its model encoder answers .*; poles .* instead"
+    ):
+        built(exported, "foreign.fmu")
+
+
+def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, repacked):
+    wrong = wired(back=" * -1")
+    hidden = linear_fmu(
+        tmp_path / "hidden.fmu", [("command", "V")], [("encoder", "rad")], A, B, [[1, 0, 0]], x0=(0, 0, 0)
+    )
+    shutil.copy(exported / "spring_controller.fmu", tmp_path)
+    assert remarks(built(tmp_path, hidden.name, wires=wrong)) == []
+    monkeypatch.setattr(plant_as_wired, "LONGEST", -1.0)
+    plant_as_wired.found.cache_clear()
+    assert remarks(built(exported, wires=wired(back=" * -2"))) == []
+    monkeypatch.undo()
+    for change, problem in ((None, None), (lambda text: text.replace('"mu": ', '"mu": 9'), "mu must lie in")):
+        changed = repacked(exported / "spring_controller.fmu", {"resources/design.json": change})
+        shutil.copy(changed, tmp_path / "spring_controller.fmu")
+        shutil.copy(exported / "spring_linear_plant.fmu", tmp_path)
+        said = remarks(built(tmp_path, wires=wrong))
+        assert (problem is None and said == []) or ("cannot be read, so that its model is not judged" in said[0])
+        assert problem is None or problem in said[0]
+
+
+def test_a_controller_fmu_carries_its_design(exported):
+    with zipfile.ZipFile(exported / "spring_controller.fmu") as archive:
+        found = json.loads(archive.read("resources/design.json"))
+    assert found["system"]["states"] == ["angle [rad]", "rate [rad/s]", "torque [N.m]"]
