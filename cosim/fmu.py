@@ -28,6 +28,7 @@ from fmu_export.variables import did_you_mean
 
 from .archives import unpack
 from .errors import UserError
+from .python_wrapper import finalize_at_exit, keep_globals
 
 Value = float | int | bool | str
 
@@ -100,7 +101,8 @@ class FMU2Strict(Strict, fmpy.fmi2.FMU2Slave):
 def describe(path: Path) -> tuple[str, ModelDescription]:
     """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
 
-    Raises UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
+    It is unpacked again where its folder is gone, as where temporary files are tidied under a process that lasts. Raises
+    UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
     """
     folder, description = describe_any(path)
     if description.coSimulation is None:
@@ -118,7 +120,7 @@ def describe_any(path: Path) -> tuple[str, ModelDescription]:
         raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
-        if key not in _unpacked:
+        if key not in _unpacked or not Path(_unpacked[key][0], "modelDescription.xml").is_file():
             _unpacked[key] = _unpack(path)
     return _unpacked[key]
 
@@ -406,6 +408,7 @@ class Instance:
         try:
             self._fmu = idle.pop() if idle else self._loaded()
             self._fmu.instanceName = self.name
+            keep_globals(Path(self._folder))
             self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
         except Exception as error:
             raise FmuError(f"{self.name} ({self.path}): {error}{self.cause()}") from None
@@ -413,12 +416,14 @@ class Instance:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
 
     def _loaded(self) -> Any:
-        return self._library(
+        fmu = self._library(
             guid=self.description.guid,
             unzipDirectory=self._folder,
             modelIdentifier=self.model_identifier,
             instanceName=self.name,
         )
+        finalize_at_exit(fmu.dll)
+        return fmu
 
     def _callbacks(self) -> Any:
         _instances[id(self)] = self

@@ -28,9 +28,9 @@ from ihc_fmu.system import System as LinearSystem
 from . import design_match, pendulum, pendulum_match
 from .design_match import Expected
 from .fmu import describe, start_values_of
-from .master import Component, System, Wire
 from .pendulum_match import Model
 from .plant_as_wired import COUNTS, Found, Place, Port, Question, found
+from .structure import Component, System, Wire
 from .system_export import DESIGN_FILE
 from .wiring import CONTROLLER, PLANT
 

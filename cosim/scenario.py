@@ -24,10 +24,11 @@ from . import parameter_files, pendulum, ssp, wiring
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
-from .master import Component, Engine, Order, Signal, System, Wire, step_count
+from .master import Engine, Order, step_count
 from .names import PlainName
 from .pendulum import WIRES, StartValue
 from .results import Result
+from .structure import Component, Signal, System, Wire
 from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, Variables, WireSection
 
@@ -159,7 +160,7 @@ class Scenario(_Section):
         Entries of lists are named by their numbers from 0 on. Raises UserError for a name that does not exist or a value
         outside its rule.
         """
-        data = self.model_dump()
+        data = self.model_dump(mode="json")
         for path, value in changes.items():
             *parents, last = _parted(path)
             place: Any = data

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 
 from cosim import master
-from cosim.errors import SimulationError, UserError
+from cosim.errors import UserError
 from cosim.fmu import describe
+from cosim.hil.loop import Controller
 from cosim.hil.replay import controller_of, replay
-from cosim.master import Component, Signal, System, Wire, simulate
-from cosim.results import Result
+from cosim.master import simulate
+from cosim.results import Result, SimulationError
+from cosim.structure import Component, Signal, System, Wire
 from fmu_export.native_build import build_library, host_platform
 from tests.cosim.hil import rig
 
@@ -289,6 +291,28 @@ def test_a_foreign_controller_runs_with_its_own_outputs_whatever_they_are_called
     assert len(device.voltages) == 10
 
 
+def test_a_foreign_controllers_outputs_and_driven_inputs_are_logged_each_in_its_column(odd):
+    others = [("flag", "Boolean", "output", None), ("count", "Integer", "output", None)]
+    inputs = [("level", "Integer", "input", None), ("rate", "Real", "input", "Hz")]
+    component = Component("controller", odd(*ANGLES, *others, *inputs, VOLTAGE, MODE))
+    controller = Controller(component, 1e-3, ["level", "rate"])
+    controller.follow({"level": [7, 8], "rate": [0.5, 2.5]})
+    controller.prepare()
+    count, mode = (controller.instance.variables[name].valueReference for name in ("count", "mode"))
+    whole = {"flag": 0, "count": count, "mode": mode}
+    try:
+        rows = [controller.begin(0.0, 0.0)]
+        controller.command(0.0, 0.0, 1)
+        rows.append(controller.outputs())
+        first, second = (
+            dict(zip(controller.layout.reals + controller.layout.integers, row, strict=True)) for row in rows
+        )
+        assert first == {**whole, "voltage": 0.0, "rate": 0.5, "level": 7}
+        assert second == {**whole, "voltage": 0.001, "rate": 2.5, "level": 8}  # this FMU's real numbers are its time
+    finally:
+        controller.close()
+
+
 @pytest.mark.parametrize(
     ("variables", "start", "problem"),
     [
@@ -363,7 +387,8 @@ import sys
 from pathlib import Path
 from cosim import campaign, interrupts
 from cosim.hil.loop import Loop
-from cosim.master import Component, System, simulate
+from cosim.master import simulate
+from cosim.structure import Component, System
 from cosim.scenario import Scenario
 from tests.cosim.hil import rig
 interrupts.GRACE = 0.2
