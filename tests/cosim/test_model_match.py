@@ -13,6 +13,7 @@ from cosim import plant_as_wired
 from cosim.export import Kind
 from cosim.scenario import Scenario, build_system, remarks
 from cosim.system_export import export_system
+from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
 from ihc_fmu.controller import design
 from ihc_fmu.system import from_dict
@@ -115,7 +116,10 @@ def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, 
         assert problem is None or problem in said[0]
 
 
-def test_a_controller_fmu_carries_its_design(exported):
+def test_a_controller_fmu_carries_its_design_and_a_resource_has_a_plain_name(exported):
+    for name in ("../design.json", "taken", ""):
+        with pytest.raises(ValueError, match="a resource must have a plain name"):
+            further_resources({name: b""}, ["taken"])
     with zipfile.ZipFile(exported / "spring_controller.fmu") as archive:
         found = json.loads(archive.read("resources/design.json"))
     assert found["system"]["states"] == ["angle [rad]", "rate [rad/s]", "torque [N.m]"]
