@@ -97,6 +97,23 @@ def jacobian(f: Function, z: Array, size: Array) -> Jacobian:
     return Jacobian(stack([c.best for c in columns]), stack(errors), stack([c.kink() for c in columns]))
 
 
+def differences(f: Function, z: Array, widths: Array) -> tuple[Array, Array, Array]:
+    """Return f(z), shape (r,), [f(z + w e) - f(z - w e)]/(2 w), shape (r, c), and by how much the sides differ, (r, c).
+
+    That is |f(z + w e) - 2 f(z) + f(z - w e)|/(2 w). `widths` (c,): how far to go, whatever lies between: the counts of a
+    sensor and dry friction are averaged. Raises EvaluationError where f has no value.
+    """
+    f0 = finite(f, z)
+    J, skew = np.zeros((len(f0), len(z))), np.zeros((len(f0), len(z)))
+    for j, width in enumerate(widths):
+        up, down = z.copy(), z.copy()
+        up[j] += width
+        down[j] -= width
+        plus, minus = finite(f, up), finite(f, down)
+        J[:, j], skew[:, j] = (plus - minus) / (2.0 * width), np.abs(plus - 2.0 * f0 + minus) / (2.0 * width)
+    return f0, J, skew
+
+
 def _column(f: Function, z: Array, j: int, size: float, f0: Array) -> _Column:
     column = _Column(np.zeros_like(f0), np.full_like(f0, np.inf))
     failure = EvaluationError("it has no value there")

@@ -69,8 +69,8 @@ def export_units(
     from plant_fmu.native_unit import NATIVE as PLANT
     from plant_fmu.slave import QubeServo2
 
-    from .model_match import misfit
     from .parameter_files import chosen
+    from .pendulum_match import misfit
     from .scenario import WIRES
 
     check_order(design)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ import numpy as np
 from fmpy.model_description import ScalarVariable
 
 from .derivative_checks import NOTABLE_ERROR, check_contradiction, check_smooth, relative
-from .derivatives import EvaluationError, Jacobian, jacobian
+from .derivatives import EvaluationError, Jacobian, differences, jacobian
 from .errors import UserError
 from .fmu import FmuError, Value
 from .linear_model import LinearModel, reduced
@@ -33,6 +34,33 @@ class Taking:
     outputs: tuple[ScalarVariable, ...]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseModel:
+    """x' = rates + A x + B u, y = C x + D u for deviations x, u as large as the `widths` that it was found with.
+
+    A (n, n), B (n, m), C (p, n), D (p, m), `rates` (n,) where x = 0 and u = 0. `smooth` (p,): whether an output changes by
+    about as much to both sides, which a sensor that counts coarsely does not.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    rates: Array
+    smooth: Array
+
+
+UNEVEN = 0.3
+"""By which part of its largest change an output may change otherwise to the other side and be called smooth."""
+
+
+def outputs_told(J: Array, skew: Array, widths: Array) -> tuple[Array, Array]:
+    """Return rows of `differences`, with 0 for changes that are no more than uneven sides, and which rows are smooth."""
+    changes, uneven = np.abs(J) * widths, (skew * widths).max(axis=1, keepdims=True, initial=0.0)
+    smooth = uneven[:, 0] <= UNEVEN * changes.max(axis=1, initial=0.0)
+    return np.where(changes <= 2.0 * uneven, 0.0, J), smooth
+
+
 class Plant(ABC):
     """An FMU as a function of z = (x, u)."""
 
@@ -42,15 +70,21 @@ class Plant(ABC):
         self.n, self.m = len(self.states), len(self.inputs)
         self.names = [v.name for v in (*self.states, *self.inputs)]
         self.interrupt: list[int] = []
+        self.deadline = math.inf
 
     def sizes(self, z: Array) -> Array:
         """Return the magnitudes of states and inputs: nominal attributes, 1 without, or the values where larger."""
         return np.maximum([nominal_of(v) for v in (*self.states, *self.inputs)], np.abs(z))
 
     def look(self) -> None:
-        """Raise KeyboardInterrupt where Ctrl-C has been collected in `interrupt`: between an FMU's calls, not in them."""
+        """Raise KeyboardInterrupt where Ctrl-C has been collected in `interrupt`: between an FMU's calls, not in them.
+
+        Raises EvaluationError after the `deadline` [s, of time.monotonic].
+        """
         if self.interrupt:
             raise KeyboardInterrupt
+        if time.monotonic() > self.deadline:
+            raise EvaluationError("it takes too long")
 
     @abstractmethod
     def begin(self) -> Array:
@@ -67,6 +101,14 @@ class Plant(ABC):
     @abstractmethod
     def linear(self, z: Array, notes: list[str]) -> LinearModel:
         """Return the linear model about z."""
+
+    @abstractmethod
+    def coarse(self, z: Array, widths: Array, span: float) -> CoarseModel:
+        """Return the model about z from one pair of differences for each entry, as far from z as `widths`.
+
+        `span` [s]: in which the states change by a small part, for co-simulation. Raises EvaluationError, and UserError
+        where the states do not describe the FMU.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -155,6 +197,13 @@ class ModelExchangePlant(Plant):
         C, D = J[self.n :, : self.n], J[self.n :, self.n :]
         whole = self.model(z, (A, B, C, D), y, notes, error=worst, method=f"model exchange, {method}")
         return reduced(whole, self.kept)
+
+    def coarse(self, z: Array, widths: Array, span: float) -> CoarseModel:
+        """Return the model about z, see `Plant.coarse`; all states are in it."""
+        n = self.n
+        f0, J, skew = differences(self._values, z, widths)
+        CD, smooth = outputs_told(J[n:], skew[n:], widths)
+        return CoarseModel(J[:n, :n], J[:n, n:], CD[:, :n], CD[:, n:], f0[:n], smooth)
 
     def close(self) -> None:
         """Free what the FMU holds."""

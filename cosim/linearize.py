@@ -62,7 +62,7 @@ def linear_model(
     Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle,
     and for an FMU that does not say enough; FmuError where it fails at its start values.
     """
-    plant = _open(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
+    plant = open_plant(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal
     with closing(plant), deferred_interrupt() as plant.interrupt, quiet:
         z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))
@@ -76,7 +76,7 @@ def linear_model(
             raise UserError(f"{path} cannot be evaluated near {where}: {error}") from None
 
 
-def _open(
+def open_plant(
     path: Path,
     inputs: tuple[str, ...],
     outputs: tuple[str, ...],
@@ -84,7 +84,7 @@ def _open(
     start: Any,
     step: float | None,
 ) -> Plant:
-    """Return the plant, for model exchange where the FMU is and no state names its parameter."""
+    """Return the plant, for model exchange where the FMU is and no state names its parameter; raises as `linear_model`."""
     _, description = describe_any(path)
     paired = any("=" in name for name in states)
     if description.modelExchange is not None and not paired:

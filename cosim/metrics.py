@@ -424,12 +424,42 @@ def evaluate(result: Recording, tolerance: float | None = None, steady: float = 
     if len(result.time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(result.time)}")
     about = evaluation_in(result)
+    _check(result, about)
+    return _judged(result, with_tolerances(result, about), tolerance, steady)
+
+
+def evaluate_alike(results: Mapping[str, Recording]) -> dict[str, Metrics]:
+    """Return the metrics of results that are held against each other: a tolerance that none names is the widest of all.
+
+    Raises UserError as `evaluate`, and for results that are judged by different signals.
+    """
+    abouts = {name: evaluation_in(result) for name, result in results.items()}
+    for name, about in abouts.items():
+        _check(results[name], about)
+    whole = {name: with_tolerances(results[name], about) for name, about in abouts.items()}
+    if len({len(about.settled) for about in whole.values()}) == 1:
+        widest = tuple(max(column) for column in zip(*(about.settled for about in whole.values()), strict=True))
+        for name, about in abouts.items():
+            if None in about.settled:
+                whole[name] = about.model_copy(update={"tolerances": widest})
+    found = {name: _judged(results[name], about) for name, about in whole.items()}
+    quantities = next(iter(found.values())).quantities
+    other = next((name for name, m in found.items() if m.quantities != quantities), None)
+    if other is not None:
+        raise UserError(f"results side by side must be judged by the same signals, and {other} is judged by others")
+    return found
+
+
+def _check(result: Recording, about: Evaluation) -> None:
+    """Raise UserError where a result lacks what it is judged by."""
     missing = missing_signals(result.signals, about)
     if about.kind == "pendulum":
         angle_norm(result)  # says which pairs of angles would do
     if missing:
         raise UserError(f"the result has no signal {missing[0]!r}; it has {', '.join(result.signals)}")
-    about = with_tolerances(result, about)
+
+
+def _judged(result: Recording, about: Evaluation, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
     judge = _Judge(result, about, tolerance, steady)
     quantities = quantities_of(about)
     return Metrics({name: judge.number(q) for name, q in quantities.items()}, quantities)

@@ -1,299 +1,261 @@
 """Where controller and plant meet: is the model that the controller was designed for the plant's?
 
-The question is answered for the pendulum and its controller (`misfit`, `remarks`); of other pairs nothing is said. A pair of
-another kind, a controller FMU with its design in resources/design.json and a plant whose linearization can be had, belongs
-into `judged_pair`, which is the only place that looks at FMUs.
-
-The controller FMU's Phi and row hold its design's model, since z = Phi x obeys z' = N z + e_n (u + row x) with the upper
-shift N:
-
-    A = Phi^-1 (N Phi + e_n row),   b = Phi^-1 e_n.
-
-The plant's is its linearization at upright with its start values. The two need not be equal: damping is left out of
-designs and differs among pendulums of a kind by orders of magnitude, so that it is only remarked; the rest is known to
-some per cent.
-What is allowed is so wide that every named parameter set with all its numbers drawn within 20 % passes with the default
-design (at most 0.64, 0.53 to 1.90 and 0.19 in 5000 draws of each), and so narrow that no other order of states, unit, sign
-or system does (a cart-pole: 0.86 to 0.94 and a gain of -0.05 to 0.09).
+The pendulum's controller says its model by start values, that of any other design by DESIGN_FILE among its FMU's resources,
+which is read as any design file is; a controller without is not judged. The plant's model is known for the pendulum, and of
+any other FMU that shows its states found by differences (`plant_as_wired`). Between the pendulum's two units start values
+decide (`pendulum_match`); another plant of its controller is seen in the coordinates of its two angles and their rates; all
+others are compared by what goes from commands to measurements (`design_match`). Where a plant cannot be evaluated nothing
+is said.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
-from functools import lru_cache
-from itertools import permutations
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fmu_export.errors import UserError
-from ihc_fmu.pendulum.interface import STATES, matrix, vector
-from plant_fmu.linearization import linearize
-from plant_fmu.parameters import QubeParameters
+from fmu_export.reading import read_text
+from ihc_fmu.design import Design
+from ihc_fmu.pendulum.interface import STATES
+from ihc_fmu.system import Quantity
+from ihc_fmu.system import System as LinearSystem
 
-if TYPE_CHECKING:
-    from .structure import System
+from . import design_match, pendulum, pendulum_match
+from .design_match import Expected
+from .fmu import describe, start_values_of
+from .pendulum_match import Model
+from .plant_as_wired import COUNTS, Found, Place, Port, Question, found
+from .structure import Component, System, Wire
+from .system_export import DESIGN_FILE
+from .wiring import CONTROLLER, PLANT
 
 Array = np.ndarray
 
-LARGEST_DISTANCE = 0.75
-"""Of the stiffness from the plant's, relative, Frobenius norm; it is what A says of accelerations by angles."""
-GAINS = (0.4, 2.5)
-"""Of b along the plant's, relative."""
-LARGEST_ANGLE = 0.3
-"""Sine of the angle between b and the plant's."""
-KINEMATICS = 0.05
-"""Largest error of an entry of A's first two rows, which say that the last two states are the rates of the first two."""
-
-NOTABLE_DISTANCE, NOTABLE_GAINS = 0.12, (0.9, 1.1)
-"""What is said, since the named sets differ less from the default design."""
-
-UNITS = {
-    math.degrees(1.0): "degrees instead of rad",
-    math.radians(1.0): "units of 57.3 rad instead of rad",
-    0.5 / math.pi: "revolutions instead of rad",
-    30.0 / math.pi: "rpm instead of rad/s",
-    1e3: "thousandths instead of rad",
-    1e-3: "thousands instead of rad",
-}
-SCALES = (1.0, *UNITS)
-"""Factors between units that are tried."""
-SCALE_TOLERANCE = 2.5
-"""A factor is taken for one of these where it is so near; parameters may differ besides."""
-
-_NUMBERS = tuple(f.name for f in fields(QubeParameters))
+MOST_BYTES = 2**20
+"""Size of a design file that is read of an FMU; the largest design has 60 kB."""
+SMALL = 0.2
+"""The span in which the fastest pole, of the model or of the linear control loop, changes the states by about this part."""
+REACH = 5.0
+"""How many times the room within the limits an input's size may be."""
 
 
-@dataclass(frozen=True, eq=False)
-class Model:
-    """x' = A x + b u with A (n, n) and b (n,)."""
+def misfit(system: System) -> str | None:
+    """Return how the model that a system's controller was designed for differs from its plant's; None where it fits.
 
-    A: Array
-    b: Array
+    None too where there are not both, or one of them does not say.
+    """
+    pair = _Pair.of(system)
+    if pair is None:
+        return None
+    if pair.balances and pendulum.is_plant(pair.plant_values):
+        return pendulum_match.misfit(pair.controller_values, pair.plant_values)
+    expected, question = pair.expected, pair.question
+    if not isinstance(expected, Expected) or question is None:
+        return None
+    if pair.balances:
+        design, plant = pendulum_match.design_model(pair.controller_values), _in_angles(found(question))
+        return None if design is None or plant is None else pendulum_match.misfit_of(design, plant)
+    return _misfit(expected, question, pair.plain)
+
+
+def remarks(system: System) -> list[str]:
+    """Return what is to be known of a system's controller on its plant, although they fit."""
+    pair = _Pair.of(system)
+    if pair is None:
+        return []
+    if pair.balances and pendulum.is_plant(pair.plant_values):
+        return pendulum_match.remarks(pair.controller_values, pair.plant_values)
+    expected, question = pair.expected, pair.question
+    if isinstance(expected, str):
+        return [expected]
+    plant = None if question is None else found(question)
+    if expected is None or plant is None:
+        return []
+    if pair.balances:
+        design, real = pendulum_match.design_model(pair.controller_values), _in_angles(plant)
+        gain = pendulum_match.k_lin_of(pair.controller_values)
+        return [] if design is None or real is None else pendulum_match.remarks_of(design, real, gain)
+    moving = (
+        [] if plant.moving is None else [f"the plant does not rest at the design's equilibrium: {plant.moving} there"]
+    )
+    return [*design_match.remarks(expected, plant.seen), *moving]
+
+
+@lru_cache(maxsize=64)
+def _misfit(expected: Expected, question: Question, plain: bool) -> str | None:
+    plant = found(question)
+    if plant is None or design_match.fits(expected, plant.seen) is not False:
+        return None
+    if not plant.placed and plant.moving is not None:
+        return None  # where its other states belong is not known
+    wired = "" if plain else ", as it is wired"
+    said = design_match.explained(expected, plant.seen) or _elsewhere(expected, question, plant)
+    if said is not None:
+        return f"the controller was designed for another model than the plant's{wired}: {said}"
+    unlike = design_match.unlike(expected, plant.seen)
+    return f"the controller was designed for another system than this plant{wired}: {unlike}"
+
+
+def _elsewhere(expected: Expected, question: Question, plant: Found) -> str | None:
+    """Return where else the design fits the plant, if it is where the plant starts."""
+    there = found(replace(question, places=()))
+    if there is None or not design_match.fits(expected, there.seen):
+        return None
+    moved = [name for name, value in plant.values.items() if not np.isclose(there.values[name], value, 1e-6, 1e-9)]
+    places = [
+        ", ".join(f"{name} = {values[name]:.4g}" for name in moved[:3]) for values in (there.values, plant.values)
+    ]
+    return f"it is linearized about another equilibrium: it fits at {places[0]}, not at {places[1]}" if moved else None
+
+
+def _in_angles(found: Found | None) -> Model | None:
+    """Return a plant's model in its first two outputs and their rates, as the pendulum's; None where they are no states."""
+    if found is None:
+        return None
+    seen = found.seen
+    if len(seen.A) != len(STATES) or not {0, 1} <= set(seen.rows) or seen.columns != (0,):
+        return None
+    angles = [seen.rows.index(0), seen.rows.index(1)]
+    C, D, b = seen.C[angles], seen.D[angles], seen.B[:, 0]
+    T = np.vstack((C, C @ seen.A))
+    direct = np.abs(D).max() + np.abs(C @ b).max() > 1e-6 * np.abs(T @ b).max()
+    if direct or not np.linalg.cond(T) < 1e9:
+        return None
+    return Model(T @ np.linalg.solve(T.T, seen.A.T).T, T @ b)
 
 
 @dataclass(frozen=True)
-class Distance:
-    """How far a model is from the plant's: A, and its stiffness, relative; b's gain and sine of the angle; kinematics."""
+class _Pair:
+    """Controller and plant of a system, and all their start values."""
 
-    A: float
-    stiffness: float
-    gain: float
-    angle: float
-    kinematics: float
+    wires: Sequence[Wire]
+    controller: Component
+    plant: Component
+    controller_values: Mapping[str, Any]
+    plant_values: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, system: System) -> _Pair | None:
+        """Return the two; None where there are not both."""
+        there = {c.name: c for c in system.components}
+        if not {CONTROLLER, PLANT} <= there.keys():
+            return None
+        both = there[CONTROLLER], there[PLANT]
+        return cls(system.wires, *both, *({**start_values_of(c.path), **c.start} for c in both))
 
     @property
-    def fits(self) -> bool:
-        """Whether the two may be one system with somewhat different parameters."""
-        near = self.stiffness <= LARGEST_DISTANCE and self.angle <= LARGEST_ANGLE and self.kinematics <= KINEMATICS
-        return near and GAINS[0] <= self.gain <= GAINS[1]
+    def balances(self) -> bool:
+        """Whether the controller is the pendulum's."""
+        return pendulum.is_controller(self.controller_values)
 
+    @property
+    def plain(self) -> bool:
+        """Whether wires between the two go by equal names and change no value."""
+        return not any(w.converts or w.source.partition(".")[2] != w.target.partition(".")[2] for w in self.wires)
 
-def judged_pair(system: System) -> tuple[dict[str, Any], dict[str, Any]] | None:
-    """Return all start values of a system's controller and plant, which judge them; None where there are not both."""
-    from .fmu import start_values_of  # noqa: PLC0415 - heavy
-    from .wiring import CONTROLLER, PLANT  # noqa: PLC0415
-
-    found = {c.name: {**start_values_of(c.path), **c.start} for c in system.components}
-    return (found[CONTROLLER], found[PLANT]) if {CONTROLLER, PLANT} <= found.keys() else None
-
-
-def design_model(controller: Mapping[str, Any]) -> Model | None:
-    """Return the model that a controller FMU with these start values was designed for; None where they hold none.
-
-    Numbers beyond reason are left to the FMU, which says what is wrong.
-    """
-    if not {*matrix("Phi"), *vector("row")} <= controller.keys():
-        return None
-    n = len(STATES)
-    Phi = np.array([controller[name] for name in matrix("Phi")], dtype=float).reshape(n, n)
-    row = np.array([controller[name] for name in vector("row")], dtype=float)
-    e_n = np.eye(n)[-1]
-    with np.errstate(all="ignore"):
-        try:
-            model = Model(np.linalg.solve(Phi, np.eye(n, k=1) @ Phi + np.outer(e_n, row)), np.linalg.solve(Phi, e_n))
-        except np.linalg.LinAlgError:
+    @cached_property
+    def expected(self) -> Expected | str | None:
+        """What the controller was designed for; why that cannot be told, or None where it does not say."""
+        if self.balances:
+            model = pendulum_match.design_model(self.controller_values)
+            gain = pendulum_match.k_lin_of(self.controller_values)
+            return None if model is None else _of_the_pendulum(*map(_entries, (model.A, model.b, gain)))
+        file = Path(describe(self.controller.path)[0]) / "resources" / DESIGN_FILE
+        if not file.is_file():
             return None
-    return _finite(model)
-
-
-def plant_model(plant: Mapping[str, Any]) -> Model | None:
-    """Return the linearization at upright of a plant FMU with these start values; None where it is another plant.
-
-    Numbers beyond reason are left to the FMU, which says what is wrong.
-    """
-    if not {*_NUMBERS, "back_emf"} <= plant.keys():
-        return None
-    with np.errstate(all="ignore"):
         try:
-            parameters = QubeParameters(**{name: float(plant[name]) for name in _NUMBERS})
-            model = Model(*linearize(parameters, back_emf=bool(plant["back_emf"])))
-        except (UserError, ArithmeticError):
+            return _of_a_design(file)
+        except UserError as error:
+            reason = str(error).removeprefix(f"{file}: ")
+            return f"the design in {self.controller.path} cannot be read, so that its model is not judged: {reason}"
+
+    @cached_property
+    def question(self) -> Question | None:
+        """What is asked of the plant; None where nothing is expected of it, or no wire leads from or to it."""
+        expected = self.expected
+        if not isinstance(expected, Expected):
             return None
-    return _finite(model)
-
-
-def _finite(model: Model) -> Model | None:
-    return model if np.isfinite(model.A).all() and np.isfinite(model.b).all() and model.b.any() else None
-
-
-def distance(model: Model, plant: Model) -> Distance:
-    """Return how far `model` is from `plant`."""
-    squares, inner = float(plant.b @ plant.b), float(plant.b @ model.b)
-    size = math.sqrt(squares) * float(np.linalg.norm(model.b))
-    half = len(plant.b) // 2
-
-    def relative(rows: slice, columns: slice) -> float:
-        real = plant.A[rows, columns]
-        return float(np.linalg.norm(model.A[rows, columns] - real) / np.linalg.norm(real))
-
-    return Distance(
-        A=relative(slice(None), slice(None)),
-        stiffness=relative(slice(half, None), slice(half)),
-        gain=inner / squares,
-        angle=math.sqrt(max(0.0, 1.0 - (inner / size) ** 2)) if size else 1.0,
-        kinematics=float(np.abs(model.A[:half] - plant.A[:half]).max()),
-    )
-
-
-def misfit(controller: Mapping[str, Any], plant: Mapping[str, Any]) -> str | None:
-    """Return how the model that the controller was designed for differs from the plant's; None where it fits.
-
-    Both are all start values of the two FMUs. None too where one of them does not say.
-    """
-    found = _both(controller, plant)
-    return None if found is None else _misfit(*found)
-
-
-def remarks(controller: Mapping[str, Any], plant: Mapping[str, Any]) -> list[str]:
-    """Return what is to be known of a controller that fits: parameters that differ, a k_lin that does not stabilize."""
-    found = _both(controller, plant)
-    if found is None:
-        return []
-    design, real = _model(found[0]), _model(found[1])
-    said = []
-    d = distance(design, real)
-    if d.A > NOTABLE_DISTANCE or not NOTABLE_GAINS[0] <= d.gain <= NOTABLE_GAINS[1]:
-        numbers = f"A differs by {100 * d.A:.0f} %, b by {100 * (d.gain - 1):+.0f} %"
-        said.append(f"the controller's model is not quite the plant's: {numbers}")
-    k_lin = np.array([controller.get(name, 0.0) for name in vector("k_lin")], dtype=float)
-    with np.errstate(all="ignore"):
-        closed = real.A + np.outer(real.b, k_lin)
-    slowest = float(np.linalg.eigvals(closed).real.max()) if np.isfinite(closed).all() else -math.inf
-    if slowest >= 0.0:
-        said.append(f"k_lin does not stabilize this plant: the largest real part of its poles is {slowest:.3g} 1/s")
-    return said
-
-
-_Key = tuple[tuple[float, ...], tuple[float, ...]]
-
-
-def _both(controller: Mapping[str, Any], plant: Mapping[str, Any]) -> tuple[_Key, _Key] | None:
-    design, real = design_model(controller), plant_model(plant)
-    if design is None or real is None:
-        return None
-    return _key(design), _key(real)
-
-
-def _key(model: Model) -> _Key:
-    return tuple(model.A.ravel().tolist()), tuple(model.b.tolist())
-
-
-def _model(key: _Key) -> Model:
-    b = np.array(key[1])
-    return Model(np.array(key[0]).reshape(len(b), len(b)), b)
-
-
-@lru_cache(maxsize=64)  # a campaign's runs have few models
-def _misfit(design_key: _Key, plant_key: _Key) -> str | None:
-    design, plant = _model(design_key), _model(plant_key)
-    d = distance(design, plant)
-    if d.fits:
-        return None
-    found = min(_explanations(design, plant), key=len, default=None)
-    if found is not None:
-        return f"the controller was designed for another model than the plant's: {'; '.join(found)}"
-    near = d.stiffness <= LARGEST_DISTANCE and d.angle <= LARGEST_ANGLE and GAINS[0] <= d.gain <= GAINS[1]
-    if near and d.kinematics > KINEMATICS:
-        return "the controller was designed for another model than the plant's: its last two states are no rates"
-    if np.allclose(*(_sorted_poles(model) for model in (design, plant)), rtol=0.05, atol=0.05):
-        return "the controller was designed for this plant in other coordinates: the poles are the same, the states are not"
-    return (
-        f"the controller was designed for another system than this plant: A differs by {100 * d.A:.0f} %, b by a factor of "
-        f"{d.gain:.3g}; poles {_poles(design)} instead of {_poles(plant)} 1/s"
-    )
-
-
-def _explanations(design: Model, plant: Model) -> Iterator[list[str]]:
-    """Yield what would make the design's model that of the plant, each as a list of differences.
-
-    The design's state is x_d = S Pi x: Pi permutes, S scales and turns signs.
-    """
-    hanging = Model(plant.A * np.where(np.arange(len(STATES)) == 1, -1.0, 1.0), plant.b)  # gravity the other way
-    for about, real in ((), plant), (("it is linearized about the hanging pendulum",), hanging):
-        for order in permutations(range(len(STATES))):
-            A, b = real.A[np.ix_(order, order)], real.b[list(order)]
-            S = _scaling(design, A, b)
-            if S is None:
-                continue
-            back = np.argsort(order)
-            turned = Model((design.A / np.outer(S, 1.0 / S))[np.ix_(back, back)], (design.b / S)[back])
-            if distance(turned, real).fits:
-                yield [*about, *_differences(order, S)]
-
-
-def _scaling(design: Model, A: Array, b: Array) -> Array | None:
-    """Return the factors of the design's states, taken from SCALES, for a plant A, b in their order; None where none fit.
-
-    Rates, on which the input acts, by b; each angle by the row that says which rate is its own.
-    """
-    S = np.ones(len(b))
-    rates = np.flatnonzero(b)
-    for i in rates:
-        S[i] = design.b[i] / b[i]
-    for j in np.flatnonzero(b == 0.0):
-        own = rates[np.argmax(np.abs(A[j, rates]))]
-        S[j] = design.A[j, own] / A[j, own] * S[own]
-    snapped = np.array([_nearest(s) for s in S])
-    return None if np.isnan(snapped).any() else snapped
-
-
-def _nearest(factor: float) -> float:
-    """Return the factor between units that is nearest, with its sign; NaN where none is near."""
-    if not 0.0 < abs(factor) < math.inf:
-        return math.nan
-    best = min(SCALES, key=lambda scale: abs(math.log(abs(factor) / scale)))
-    return math.copysign(best, factor) if abs(math.log(abs(factor) / best)) <= math.log(SCALE_TOLERANCE) else math.nan
-
-
-def _differences(order: tuple[int, ...], S: Array) -> list[str]:
-    names = [STATES[i] for i in order]
-    said = []
-    if names != list(STATES):
-        said.append(f"its states are in the order {', '.join(names)}, not {', '.join(STATES)}")
-    sign, size = np.sign(S), np.abs(S)
-    if np.all(sign < 0.0):
-        said.append("the sign of its input is the opposite")
-    elif np.any(sign < 0.0):
-        said.append(
-            f"the signs of {', '.join(n for n, s in zip(names, sign, strict=True) if s < 0.0)} are the opposite"
+        system = expected.system
+        outputs = self._ports(PLANT, CONTROLLER, [q.name for q in system.outputs])
+        inputs = self._ports(CONTROLLER, PLANT, [q.name for q in system.inputs])
+        if not outputs or not inputs:
+            return None
+        return Question(
+            path=self.plant.path,
+            content=describe(self.plant.path)[0],
+            start=tuple(sorted(self.plant.start.items())),
+            outputs=outputs,
+            inputs=inputs,
+            places=tuple(_places(expected, outputs, inputs).items()),
+            span=_span(system),
         )
-    if np.all(size == 1e-3):
-        said.append("its input is in mV instead of V")
-    else:
-        for scale, unit in UNITS.items():
-            which = [n for n, s in zip(names, size, strict=True) if s == scale]
-            if which:
-                said.append(f"{', '.join(which)} {'is' if len(which) == 1 else 'are'} in {unit}")
-    return said
+
+    def _ports(self, source: str, target: str, names: Sequence[str]) -> tuple[Port, ...]:
+        """Return the wires from one to the other whose variable of the controller is one of `names`."""
+        found = []
+        for wire in self.wires:
+            ends = {part: name for part, _, name in (wire.source.partition("."), wire.target.partition("."))}
+            if (
+                ends.keys() == {PLANT, CONTROLLER}
+                and wire.source.startswith(f"{source}.")
+                and ends[CONTROLLER] in names
+            ):
+                found.append(Port(ends[PLANT], names.index(ends[CONTROLLER]), wire.factor, wire.offset))
+        return tuple(found)
 
 
-def _sorted_poles(model: Model) -> Array:
-    return np.sort_complex(np.round(np.linalg.eigvals(model.A), 6) + 0.0)  # no -0
+def _entries(numbers: Array) -> tuple[float, ...]:
+    return tuple(numbers.ravel().tolist())
 
 
-def _poles(model: Model) -> str:
-    poles = _sorted_poles(model)
-    return ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-6 else f"{p.real:.3g}{p.imag:+.3g}i" for p in poles)
+@lru_cache(maxsize=16)
+def _of_a_design(file: Path) -> Expected:
+    """Return what a design file says; raises as the file's loader."""
+    design = Design.from_json(read_text(file, "design", MOST_BYTES))
+    system = design.system
+    room = np.minimum(system.upper - system.u_eq, system.u_eq - system.lower)  # type: ignore[operator]
+    sizes = np.where(design.u_max > 0.0, design.u_max, np.where(np.isfinite(room), room, 1.0))
+    return Expected(system, design.extent, np.minimum(sizes, REACH * room))
+
+
+@lru_cache(maxsize=16)
+def _of_the_pendulum(A: tuple[float, ...], b: tuple[float, ...], k_lin: tuple[float, ...]) -> Expected | None:
+    n = len(STATES)
+    try:
+        names = {"states": tuple(map(Quantity, STATES)), "inputs": (Quantity("voltage", "V"),)}
+        system = LinearSystem(A=np.reshape(A, (n, n)), B=np.array(b), K=np.array(k_lin), **names)
+    except UserError:
+        return None
+    return Expected(system, np.ones(n), np.ones(1))
+
+
+def _span(system: LinearSystem) -> float:
+    closed = system.A + system.B @ np.asarray(system.K)
+    return SMALL / float(max(np.abs(np.linalg.eigvals(M)).max() for M in (system.A, closed)))
+
+
+def _places(expected: Expected, outputs: Sequence[Port], inputs: Sequence[Port]) -> dict[str, Place]:
+    """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires."""
+    system = expected.system
+    C, resolutions = np.asarray(system.C), np.asarray(system.resolutions)
+    largest = np.abs(C) == np.abs(C).max(axis=1, keepdims=True)
+    least = COUNTS * np.where(largest, resolutions[:, None] / np.where(largest, np.abs(C), 1.0), 0.0).max(axis=0)
+    found = {
+        q.name: Place(*map(float, numbers))
+        for q, *numbers in zip(system.states, np.asarray(system.x_eq), expected.extent, least, strict=True)
+    }
+    for port in outputs:
+        if port.factor and (port.name not in found or port.factor != 1.0 or port.offset):
+            i, size = port.number, abs(port.factor)
+            value = (float(np.asarray(system.y_eq)[i]) - port.offset) / port.factor
+            extent = float(np.abs(C[i]) @ expected.extent)
+            found[port.name] = Place(value, extent / size, COUNTS * float(resolutions[i]) / size)
+    for port in inputs:
+        value = port.factor * float(np.asarray(system.u_eq)[port.number]) + port.offset
+        found[port.name] = Place(value, abs(port.factor) * float(expected.u_size[port.number]))
+    return found

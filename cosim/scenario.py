@@ -487,10 +487,9 @@ def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Ma
 
 def _check_model(system: System) -> None:
     """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
-    from .model_match import judged_pair, misfit  # noqa: PLC0415
+    from .model_match import misfit  # noqa: PLC0415 - heavy
 
-    pair = judged_pair(system)
-    problem = None if pair is None else misfit(*pair)
+    problem = misfit(system)
     if problem is not None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")
 
@@ -501,11 +500,9 @@ def remarks(system: System, scenario: Scenario) -> list[str]:
     Of its controller on its plant, although they fit, see `model_match`; of start values that no certificate covers.
     """
     from . import certified  # noqa: PLC0415
-    from .model_match import judged_pair  # noqa: PLC0415
-    from .model_match import remarks as found  # noqa: PLC0415
+    from .model_match import remarks as found  # noqa: PLC0415 - heavy
 
-    pair = judged_pair(system)
-    said = [] if pair is None else found(*pair)
+    said = found(system)
     for component in system.components:
         if component.name == CONTROLLER:
             said += certified.remarks(_own_values(component.path), scenario.controller.start)

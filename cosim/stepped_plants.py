@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import LinAlgError, logm, matrix_balance
+from scipy.linalg import matrix_balance
 
 from .derivative_checks import DIGITS, LARGEST_ERROR, NOTABLE_ERROR, check_smooth, place, relative, without_noise
-from .derivatives import EvaluationError, jacobian
+from .derivatives import EvaluationError, differences, jacobian
 from .errors import UserError
 from .fmu import FmuError, Instance
 from .linear_model import LinearModel
-from .linear_plants import Plant, Taking
+from .linear_plants import CoarseModel, Plant, Taking, outputs_told
+from .matrix_logarithm import logarithm
 from .plant_variables import real_inputs, real_outputs, start_of, state_pairs
 
 Array = np.ndarray
@@ -22,6 +23,8 @@ Array = np.ndarray
 ANGLE = 0.2
 """How far the steps in co-simulation go: T times the norm of A in balanced units."""
 MOST_STEPS = 50
+UNLIKE = 0.1
+"""By which part of its largest effect a coarse model after T and after 2 T may differ."""
 
 
 class CoSimulationPlant(Plant):
@@ -82,6 +85,25 @@ class CoSimulationPlant(Plant):
         y = self._ends(z, count, self.step)[self.n : self.n + len(self.outputs)]
         how = f"co-simulation, {count} and {2 * count} steps of {self.step:g} s"
         return self.model(z, (A, B, C, D), y, notes, error=worst, method=how)
+
+    def coarse(self, z: Array, widths: Array, span: float) -> CoarseModel:
+        """Return the model about z from steps to `span` [s], or as near as whole steps come, see `Plant.coarse`."""
+        n, rows = self.n, self.n + len(self.outputs)
+        count = int(np.clip(round(span / self.step), 1, MOST_STEPS))
+        f0, J, skew = differences(lambda at: self._ends(at, count, self.step), z, widths)
+        AB, again = self._both(J, z, count * self.step)
+        scaled = [np.abs(M) * widths / widths[:n, None] for M in (AB, AB - again)]
+        if not scaled[1].max(initial=0.0) <= UNLIKE * scaled[0].max(initial=0.0):
+            raise UserError(f"the states {', '.join(self.names[:n])} do not describe {self.path}")
+        held = np.eye(n + self.m)[n:]
+        Y, smooth = outputs_told(J[2 * rows :], skew[2 * rows :], widths)
+        late = np.all(Y == 0.0, axis=1)  # outputs that are computed in a step
+        if late.any():
+            X = np.hstack((np.vstack((J[:n], held)), np.vstack((J[rows : rows + n], held))))
+            after = [outputs_told(J[part], skew[part], widths) for part in (slice(n, rows), slice(rows + n, 2 * rows))]
+            fitted = np.linalg.lstsq(X.T, np.hstack([M for M, _ in after]).T, rcond=None)[0].T
+            Y, smooth = np.where(late[:, None], fitted, Y), np.where(late, after[0][1] & after[1][1], smooth)
+        return CoarseModel(AB[:, :n], AB[:, n:], Y[:, :n], Y[:, n:], (f0[:n] - z[:n]) / (count * self.step), smooth)
 
     def close(self) -> None:
         """Free what the FMU holds."""
@@ -150,11 +172,7 @@ class CoSimulationPlant(Plant):
 
     def _logarithm(self, J: Array, z: Array, time: float) -> tuple[Array, Array, Array]:
         """Return A, B of x(T), T = `time`, and their relative difference from those of x(2 T)."""
-        n, rows = self.n, self.n + len(self.outputs)
-        once, twice = J[:n], J[rows : rows + n]
-        self._check_start(2.0 * once - twice, z)
-        both = [self._rates_of(M, k * time) for M, k in ((once, 1), (twice, 2))]
-        sizes = self.sizes(z)
+        n, sizes, both = self.n, self.sizes(z), self._both(J, z, time)
         error = relative(np.abs(both[0] - both[1]), both[0], sizes)
         if error.max(initial=0.0) > LARGEST_ERROR:
             i, j = place(error)
@@ -167,17 +185,21 @@ class CoSimulationPlant(Plant):
         AB = without_noise(both[0], both[1], sizes)
         return AB[:, :n], AB[:, n:], error
 
+    def _both(self, J: Array, z: Array, time: float) -> list[Array]:
+        """Return [A B] of x(T), T = `time`, and of x(2 T)."""
+        n, rows = self.n, self.n + len(self.outputs)
+        once, twice = J[:n], J[rows : rows + n]
+        self._check_start(2.0 * once - twice, z)
+        return [self._rates_of(M, k * time) for M, k in ((once, 1), (twice, 2))]
+
     def _rates_of(self, M: Array, time: float) -> Array:
         """Return [A B] of the map M = [exp(A T), ...] over T = `time`."""
         whole = np.eye(self.n + self.m)
         whole[: self.n] = M
-        try:
-            found = np.asarray(logm(whole))
-        except (LinAlgError, ValueError):
-            found = np.full_like(whole, np.nan)
-        if not np.isfinite(found).all() or np.abs(np.imag(found)).max() > 1e-6 * np.abs(found).max():
+        found = logarithm(whole)
+        if not np.isfinite(found).all():
             raise UserError(f"the states of {self.path} change too much within {time:g} s: take a shorter --step")
-        return np.real(found)[: self.n] / time
+        return found[: self.n] / time
 
     def _check_start(self, at_start: Array, z: Array) -> None:
         """Refuse parameters that do not set their states: the map of no step must be near the unit matrix."""

@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from ihc_fmu.system import System
 
 
+DESIGN_FILE = "design.json"
+"""Among a controller FMU's resources: the design that it was made of, which its code does not read."""
+
+
 def exported_files(system: System) -> tuple[str, str, str]:
     """Return the names of the files that an export writes: plant, controller, both as SSP."""
     return f"{system.name}_linear_plant.fmu", f"{system.name}_controller.fmu", f"{system.name}.ssp"
@@ -30,7 +34,7 @@ def wires_of(system: System) -> list[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """An FMU to write: its unit in C and in Python, what it shows and hides of it, changes to start values."""
+    """An FMU to write: its unit in C and in Python, what it shows and hides of it, changes to start values, resources."""
 
     native: NativeUnit
     slave: type[GuardedSlave]
@@ -38,6 +42,7 @@ class _Plan:
     hidden: Mapping[str, Any]
     changes: Mapping[str, Any]
     notes: str
+    resources: Mapping[str, bytes]
 
     def write(
         self,
@@ -58,6 +63,7 @@ class _Plan:
             "hidden": self.hidden,
             "identifier": path.stem,
             "origin": origin(),
+            "resources": self.resources,
         }
         if kind is Kind.native:
             export_native_fmu(self.native, path, self.changes, self.notes, platforms, building, **shown)
@@ -77,9 +83,10 @@ def export_system(
     """Write NAME_linear_plant.fmu, NAME_controller.fmu and NAME.ssp for the system of a design; return their paths.
 
     Where the states are not measured the controller gets a Kalman filter for its sample time, which `changes` to the
-    controller's start values may change too. The other arguments are those of `export_units`. Nothing is compiled for this
-    machine: one binary, or with `kind` python one slave class, serves every design. The three files reach the folder
-    together. Raises UserError for what cannot be exported, BuildError for a missing binary or compiler.
+    controller's start values may change too; DESIGN_FILE is among its resources. The other arguments are those of
+    `export_units`. Nothing is compiled for this machine: one binary, or with `kind` python one slave class, serves every
+    design. The three files reach the folder together. Raises UserError for what cannot be exported, BuildError for a missing
+    binary or compiler.
     """
     from filing.files import staging
     from filing.origin import origin
@@ -101,10 +108,11 @@ def export_system(
     plant, wires = shown_interface(system), wires_of(system)
     kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires)
     names = exported_files(system)
+    inside = {DESIGN_FILE: design.to_json().encode()}
     about = plant_notes(system), controller_notes(design, regulator.estimator)
     plans = (
-        _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0]),
-        _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1]),
+        _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0], {}),
+        _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1], inside),
     )
     with staging(output) as place:
         for plan, stay, name in zip(plans, kept, names, strict=False):

@@ -143,14 +143,10 @@ def _mark(q: Quantity, steady: bool, value: float) -> str:
 
 def print_results(results: Mapping[str, Result]) -> None:
     """Print the metrics of several results side by side; raise UserError where they are judged by different signals."""
-    from ..errors import UserError
-    from ..metrics import evaluate, unsteady
+    from ..metrics import evaluate_alike, unsteady
 
-    metrics = {name: evaluate(result) for name, result in results.items()}
+    metrics = evaluate_alike(results)
     quantities = next(iter(metrics.values())).quantities
-    other = next((name for name, m in metrics.items() if m.quantities != quantities), None)
-    if other is not None:
-        raise UserError(f"results side by side must be judged by the same signals, and {other} is judged by others")
     rows = [
         [q.heading, *(q.text(m.values[q.name]) + _mark(q, m.steady, m.values[q.name]) for m in metrics.values())]
         for q in quantities.values()

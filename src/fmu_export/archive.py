@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from .errors import UserError
@@ -22,6 +22,17 @@ def content_guid(files: Mapping[str, bytes], description: bytes) -> str:
         digest.update(name.encode() + b"\0" + hashlib.sha256(files[name]).digest())
     h = digest.hexdigest()
     return f"{{{h[:8]}-{h[8:12]}-{h[12:16]}-{h[16:20]}-{h[20:32]}}}"
+
+
+def further_resources(resources: Mapping[str, bytes] | None, taken: Collection[str]) -> dict[str, bytes]:
+    """Return the archive's entries for files of the folder `resources`; raise ValueError for a name that cannot be theirs.
+
+    `taken` are the names that the FMU's own files have there.
+    """
+    for name in resources or {}:
+        if not name.isprintable() or set(name) & set("/\\:") or name in ("", ".", "..", *taken):
+            raise ValueError(f"a resource must have a plain name that the FMU has no other use for, found {name!r}")
+    return {f"resources/{name}": content for name, content in (resources or {}).items()}
 
 
 def write_zip(path: Path, files: Mapping[str, bytes], software: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 
-from .archive import content_guid, write_zip
+from .archive import content_guid, further_resources, write_zip
 from .documentation import documents
 from .errors import UserError
 from .model_description import Capabilities, ModelExchange, model_description
@@ -28,6 +28,8 @@ from .shown import Showing
 from .variables import Interface, Value
 
 START_VALUES_SOURCE = "start_values.c"
+VALUES = "start_values.bin"
+"""The start values among the resources, which an importer that has the binary reads."""
 FMI_LICENSE = ADAPTER / "fmi2" / "LICENSE.txt"
 ALL = "all"
 """In place of the names of all platforms."""
@@ -46,19 +48,22 @@ def export_native_fmu(
     hidden: Mapping[str, Value | str] | None = None,
     identifier: str | None = None,
     origin: Origin = ANONYMOUS,
+    resources: Mapping[str, bytes] | None = None,
 ) -> Path:
     """Write the FMU of `unit` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `interface` is what the FMU shows of the unit's compiled variables (`Variable.slot`), None: all of them as they are;
     `hidden` are start values of others, by compiled names. `identifier` is the modelIdentifier, also the name of the binary
-    inside and of the functions of the sources, None: the unit's name. `origin` is who makes the FMU.
+    inside and of the functions of the sources, None: the unit's name. `origin` is who makes the FMU. `resources` are further
+    files of its folder `resources`, by name, which its code does not read.
 
     `platforms` names what to hold binaries for, "all" among them: every one, None: this machine, which the installation
     has built; others are compiled now, by the package ziglang; `building` is told which, before each. `outputs` names
     those that are outputs, None: all; the others become local variables. `notes` is HTML for the FMU's documentation. The
     same arguments give the same bytes. The file is written beside and renamed. Raises UserError for start values that the
     interface does not admit or that contradict each other, for an identifier that is none in C and for unknown platforms,
-    BuildError where there is no binary, ValueError for an interface that does not fit the unit's table.
+    BuildError where there is no binary, ValueError for an interface that does not fit the unit's table and for a resource
+    that is no file of its own.
     """
     showing = Showing(unit.interface, unit.interface if interface is None else interface)
     identifier = checked_identifier(unit.interface.name if identifier is None else identifier)
@@ -75,7 +80,7 @@ def export_native_fmu(
         sources=tuple(sorted([name for name in sources if name.endswith(".c")] + [START_VALUES_SOURCE])),
         model_exchange=None if unit.model_exchange is None else _shown_exchange(showing, unit.model_exchange(values)),
     )
-    files = {f"sources/{name}": text for name, text in sources.items()}
+    files = {f"sources/{name}": text for name, text in sources.items()} | further_resources(resources, (VALUES,))
     for platform in _platforms(platforms):
         if building is not None:
             building(f"{identifier} for {platform.name}")
@@ -87,7 +92,7 @@ def export_native_fmu(
     references = showing.references
     digested = {**files, "values": start_value_file(unit.interface, "", values, showing.names)}
     guid = content_guid(digested, model_description(shown, start, "", capabilities, references))
-    files["resources/start_values.bin"] = start_value_file(unit.interface, guid, values, showing.names)
+    files[f"resources/{VALUES}"] = start_value_file(unit.interface, guid, values, showing.names)
     files[f"sources/{START_VALUES_SOURCE}"] = start_value_source(unit.interface, guid, values, showing.names).encode()
     files["modelDescription.xml"] = model_description(shown, start, guid, capabilities, references)
     write_zip(path, files, origin.software)

@@ -16,7 +16,7 @@ from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 
-from .archive import content_guid, license_of, write_zip
+from .archive import content_guid, further_resources, license_of, write_zip
 from .documentation import documents
 from .guarded_slave import MANIFEST, GuardedSlave, code_digest, manifest_of
 from .model_description import Capabilities, model_description
@@ -49,16 +49,18 @@ def export_python_fmu(
     hidden: Mapping[str, Value | str] | None = None,
     identifier: str | None = None,
     origin: Origin = ANONYMOUS,
+    resources: Mapping[str, bytes] | None = None,
 ) -> Path:
     """Write the FMU of `slave` to `path`, with the start values of its interface and `changes` to them; return `path`.
 
     `interface` is what the FMU shows of the slave's variables (`Variable.slot`), None: all of them as they are; `hidden` are
     start values of others, by the slave's names. `identifier` is the modelIdentifier, None: the name of the slave's
     interface. `notes` is HTML for the FMU's documentation. `outputs` names those that are outputs, None: all; the others
-    become local variables. `origin` is who makes the FMU. The same arguments give the same bytes. The file is written beside
-    and renamed, so an interrupted export leaves an earlier file as it was. Raises UserError for start values that the
-    interface does not admit or that contradict each other and for an identifier that is none in C, ValueError for an
-    interface that does not fit the slave's.
+    become local variables. `origin` is who makes the FMU. `resources` are further files of its folder `resources`, by name,
+    which its code does not read. The same arguments give the same bytes. The file is written beside and renamed, so an
+    interrupted export leaves an earlier file as it was. Raises UserError for start values that the interface does not admit
+    or that contradict each other and for an identifier that is none in C, ValueError for an interface that does not fit the
+    slave's and for a resource that is no file of its own.
     """
     showing = Showing(slave.interface, slave.interface if interface is None else interface)
     identifier = checked_identifier(slave.interface.name if identifier is None else identifier)
@@ -66,6 +68,7 @@ def export_python_fmu(
     showing.admitted(slave.unit_class, start, hidden or {})
     shown = showing.interface if outputs is None else showing.interface.exposing(outputs)
     files = _resources(slave, identifier, manifest_of(showing, start, hidden or {}))
+    files |= further_resources(resources, [PurePosixPath(name).parts[1] for name in files])
     version = importlib.metadata.version("pythonfmu")
     capabilities = Capabilities(
         identifier=identifier,

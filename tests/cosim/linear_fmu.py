@@ -137,8 +137,9 @@ def linear_fmu(
     start: Mapping[str, float] | None = None,
     *,
     law: bool = False,
+    starts: Sequence[str] = (),
 ) -> Path:
-    """Write the FMU of x' = A x + B u, y = C x + D u; inputs and outputs are (name, unit), `x0` becomes x0[1], ...
+    """Write the FMU of x' = A x + B u, y = C x + D u; in- and outputs are (name, unit), `x0` becomes `starts` or x0[1], ...
 
     With `law` it is a controller with an enumeration law, LC or IHC (its gain over a_min), a_min, b_max and a mode.
     """
@@ -147,15 +148,16 @@ def linear_fmu(
     given = dict(zip("ABCD", (A, B, C_, D), strict=True))
     matrices = {k: np.zeros(s) if np.size(given[k]) == 0 else np.reshape(given[k], s) for k, s in sizes.items()}
     numbers = {k: ", ".join(map(repr, M.ravel().tolist())) or "0.0" for k, M in matrices.items()}
-    starts = [0.0] * 64
+    reals = [0.0] * 64
     for i, (name, _) in enumerate(inputs):
-        starts[i] = (start or {}).get(name, 0.0)
-    starts[40 : 40 + n], starts[60:62] = list(map(float, x0)), [0.5, 1.0]
-    source = C % {**numbers, "n": n, "m": m, "p": p, "starts": ", ".join(map(repr, starts)), "law": 1}
+        reals[i] = (start or {}).get(name, 0.0)
+    reals[40 : 40 + n], reals[60:62] = list(map(float, x0)), [0.5, 1.0]
+    source = C % {**numbers, "n": n, "m": m, "p": p, "starts": ", ".join(map(repr, reals)), "law": 1}
     source += "\n".join(f"GOOD(fmi2{name})" for name in GOOD.split()) + "\n"
-    rows = [_real(i, name, "input", unit, starts[i]) for i, (name, unit) in enumerate(inputs)]
+    rows = [_real(i, name, "input", unit, reals[i]) for i, (name, unit) in enumerate(inputs)]
     rows += [_real(20 + i, name, "output", unit) for i, (name, unit) in enumerate(outputs)]
-    rows += [_real(40 + i, f"x0[{i + 1}]", "parameter", None, x) for i, x in enumerate(x0)]
+    named = starts or [f"x0[{i + 1}]" for i in range(n)]
+    rows += [_real(40 + i, name, "parameter", None, x) for i, (name, x) in enumerate(zip(named, x0, strict=True))]
     if law:
         rows += [_real(60, "a_min", "parameter", None, 0.5, 'min="0.01" '), _real(61, "b_max", "parameter", None, 1.0)]
         rows += [_enumeration(62, "law", "parameter", "Law", 'start="1" '), _enumeration(63, "mode", "output", "Mode")]

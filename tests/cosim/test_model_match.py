@@ -1,130 +1,126 @@
-"""Where controller and plant meet: what differs between the design's model and the plant's is found and named."""
+"""Where controllers and plants of any kind meet: what is found, what is said, and where nothing is."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+import shutil
+import zipfile
 
 import numpy as np
 import pytest
 
-from cosim.model_match import Model, design_model, distance, misfit, plant_model, remarks
-from ihc_fmu.companion import chain_form
-from ihc_fmu.pendulum.interface import matrix, vector
-from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN
-from ihc_fmu.pendulum.start_values import zip_names
-from plant_fmu.interface import start_values
-from plant_fmu.parameters import PARAMETER_SETS
+from cosim import plant_as_wired
+from cosim.export import Kind
+from cosim.model_match import remarks
+from cosim.scenario import Scenario, build_system
+from cosim.system_export import export_system
+from fmu_export.archive import further_resources
+from fmu_export.errors import UserError
+from ihc_fmu.controller import design
+from ihc_fmu.system import from_dict
+from tests.cosim.linear_fmu import linear_fmu
 
-A, B, K = np.array(PAPER_A), np.array(PAPER_B), np.array(PAPER_K_LIN)
-IDENT = start_values("ident")
-HANGING = A * [[1], [1], [1], [-1]] * [1, 1, 1, 1], B * [1, 1, 1, -1]
-"""Gravity and the coupling act the other way on the pendulum."""
-
-
-def controller(A, b, k_lin=K) -> dict[str, float]:
-    """Return the start values that a design for (A, b) gives the controller FMU."""
-    form = chain_form(A, b)
-    values = zip_names(matrix("Phi"), form.Phi.ravel()) | zip_names(vector("row"), form.row)
-    return {**values, **zip_names(vector("k_lin"), k_lin)}
-
-
-def changed(order=(0, 1, 2, 3), scale=(1.0, 1.0, 1.0, 1.0), model=(A, B)):
-    """Return (A, b) of x_d = S Pi x."""
-    A, b = model
-    order, scale = list(order), np.array(scale)
-    return A[np.ix_(order, order)] * np.outer(scale, 1.0 / scale), b[order] * scale
-
-
-def test_the_designs_model_is_recovered_from_start_values():
-    found = design_model(controller(A, B))
-    assert found is not None
-    np.testing.assert_allclose(found.A, A, atol=1e-9)
-    np.testing.assert_allclose(found.b, B, rtol=1e-12, atol=1e-12)
+A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.3, 1.0], [0.0, 0.0, -5.0]])
+B = np.array([[0.0], [0.0], [5.0]])
+ENTRIES = {
+    "name": "spring",
+    "A": A.tolist(),
+    "B": B.tolist(),
+    "C": [[1.0, 0.0, 0.0]],
+    "lqr": {"Q": [1.0, 0.1, 0.0], "R": [1.0]},
+    "states": ["angle [rad]", "rate [rad/s]", "torque [N.m]"],
+    "inputs": ["command [V]"],
+    "outputs": ["encoder [rad]"],
+    "limits": [10.0],
+    "resolutions": [1e-3],
+}
+OTHER = "the controller was designed for another"
 
 
-def test_every_named_set_with_its_numbers_within_20_percent_fits_the_default_design():
-    rng = np.random.default_rng(1)
-    names = ("m_p", "L_p", "J_p", "D_p", "L_r", "J_r", "D_r", "R_m", "k_m")
-    for chosen in PARAMETER_SETS.values():
-        for spread in (0.0, *[0.2] * 100):
-            p = chosen.parameters
-            drawn = {name: getattr(p, name) * (1.0 + rng.uniform(-spread, spread)) for name in names}
-            plant = start_values(replace(chosen, parameters=replace(p, **drawn)))
-            assert misfit(controller(A, B), plant) is None
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The FMUs of a design for ENTRIES, and of the same plant in Python."""
+    folder = tmp_path_factory.mktemp("spring")
+    made = design(from_dict(ENTRIES))
+    export_system(made, folder / "python", kind=Kind.python)
+    export_system(made, folder)
+    (folder / "python" / "spring_linear_plant.fmu").rename(folder / "python_plant.fmu")
+    return folder
 
 
-def test_small_differences_and_a_gain_that_does_not_stabilize_are_remarked():
-    assert remarks(controller(A, B), IDENT) == []
-    plant = {**IDENT, "J_p": 5e-5}
-    assert misfit(controller(A, B), plant) is None
-    assert remarks(controller(A, B), plant) == [
-        "the controller's model is not quite the plant's: A differs by 29 %, b by +21 %"
-    ]
-    (said,) = remarks(controller(A, B), start_values("listed"))
-    assert said == "k_lin does not stabilize this plant: the largest real part of its poles is 1.34 1/s"
+def built(folder, plant="spring_linear_plant.fmu", **changes):
+    """Return the system of the controller and a plant."""
+    parts = {"plant.fmu": plant, "controller.fmu": "spring_controller.fmu"}
+    return build_system(Scenario().changed({**parts, **{n.replace("__", "."): v for n, v in changes.items()}}), folder)
 
 
-DEGREE = 180.0 / np.pi
+def wired(output="encoder", more="", back=""):
+    return [f"plant.{output} -> controller.encoder{more}", f"controller.command -> plant.command{back}"]
 
 
-@pytest.mark.parametrize(
-    ("model", "expected"),
-    [
-        (
-            changed(order=(0, 2, 1, 3)),
-            "its states are in the order theta, theta_dot, delta, delta_dot, not theta, delta,",
-        ),
-        (changed(order=(1, 0, 3, 2)), "its states are in the order delta, theta, delta_dot, theta_dot, not"),
-        (changed(order=(2, 3, 0, 1)), "its states are in the order theta_dot, delta_dot, theta, delta, not"),
-        (changed(scale=[DEGREE] * 4), "theta, delta, theta_dot, delta_dot are in degrees instead of rad"),
-        (changed(scale=(1, DEGREE, 1, DEGREE)), "delta, delta_dot are in degrees instead of rad"),
-        (changed(scale=(DEGREE, DEGREE, 1, 1)), "theta, delta are in degrees instead of rad"),
-        (changed(scale=(1, 1, 30.0 / np.pi, 30.0 / np.pi)), "theta_dot, delta_dot are in rpm instead of rad/s"),
-        (changed(scale=[1e-3] * 4), "its input is in mV instead of V"),
-        (changed(scale=[-1] * 4), "the sign of its input is the opposite"),
-        (changed(scale=(1, -1, 1, -1)), "the signs of delta, delta_dot are the opposite"),
-        (
-            changed(order=(0, 2, 1, 3), scale=(1, 1, -DEGREE, -DEGREE)),
-            "its states are in the order theta, theta_dot, delta, delta_dot, not theta, delta, theta_dot, delta_dot; "
-            "the signs of delta, delta_dot are the opposite; delta, delta_dot are in degrees",
-        ),
-        (HANGING, "it is linearized about the hanging pendulum"),
-        (
-            (
-                np.array([[0, 0, 1, 0], [0, 0, 0, 1], [0, -0.98, 0, 0], [0, 21.6, 0, 0]]),
-                np.array([0, 0, 1.0, -2.0]),
-            ),
-            "another system than this plant: A differs by 94 %, b by a factor of -0.00994; poles -4.65, 0, 0, 4.65 instead "
-            "of -18.2, -2.04, 0, 14.6 1/s",
-        ),
-    ],
-)
-def test_a_design_for_another_model_is_told_what_differs(model, expected):
-    found = misfit(controller(*model), IDENT)
-    assert found is not None
-    assert expected in found
+@pytest.mark.parametrize("plant", ["spring_linear_plant.fmu", "python_plant.fmu"])
+def test_counted_linear_plants_of_both_kinds_are_judged(exported, plant):
+    system = built(exported, plant, plant__start={"angle_0": 0.5, "encoder_resolution_offset": 0.2})
+    assert remarks(system) == []
+    for wires, problem in (
+        (wired(back=" * -1"), "the sign of command is the opposite"),
+        (wired(more=" * 57.29578"), "encoder is in units of 57.3 rad instead of rad"),
+        (wired(back=" * 1000"), "command is in thousandths instead of V"),
+        (wired("rate"), "its states are in the order rate, angle, torque, not angle, rate, torque"),
+    ):
+        with pytest.raises(
+            UserError, match=f"{OTHER} model than the plant's, as it is wired: {problem}; controller.other"
+        ):
+            built(exported, plant, wires=wires)
+    assert built(exported, plant, wires=wired(back=" * -1"), controller__other_model=True).components
 
 
-def test_states_that_are_no_rates_are_told():
-    found = misfit({**controller(A, B), "Phi_11": controller(A, B)["Phi_11"] * 3.0}, IDENT)
-    assert found is not None
-    assert "its last two states are no rates" in found
+def test_a_plant_of_others_is_judged_by_its_answers_whatever_its_states_are(exported):
+    T = np.array([[1.0, 0.0, 0.0], [0.3, 2.0, 0.1], [0.0, -1.0, 3.0]])  # states of its own
+    mixed, names = T @ A @ np.linalg.inv(T), [("encoder", "rad"), ("p", None), ("q", None)]
+
+    def plant(A, B, C):
+        starts = [f"{name}_0" for name, _ in names]
+        return linear_fmu(
+            exported / "foreign.fmu", [("command", "V")], names, A, B, C, x0=(0.4, 0.0, 0.0), starts=starts
+        )
+
+    plant(mixed, T @ B, np.eye(3))
+    assert remarks(built(exported, "foreign.fmu")) == []
+    plant(mixed - 0.7 * np.eye(3), T @ B, np.eye(3))
+    (said,) = remarks(built(exported, "foreign.fmu"))
+    assert said.startswith("the controller's model is not quite the plant's: encoder answers otherwise by ")
+    plant(-mixed, T @ B, np.eye(3))
+    with pytest.raises(
+        UserError, match=f"{OTHER} system than this plant: in its model encoder answers .*; poles .* instead"
+    ):
+        built(exported, "foreign.fmu")
 
 
-def test_poles_that_are_the_same_are_not_called_a_difference():
-    real = plant_model(IDENT)
-    assert real is not None
-    S = np.array([1.0, 3.1, 1.0, 3.1])
-    found = misfit(controller(real.A * np.outer(S, 1 / S), S * real.b), IDENT)
-    assert found is not None
-    assert "designed for this plant in other coordinates" in found
+def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, repacked):
+    wrong = wired(back=" * -1")
+    hidden = linear_fmu(
+        tmp_path / "hidden.fmu", [("command", "V")], [("encoder", "rad")], A, B, [[1, 0, 0]], x0=(0, 0, 0)
+    )
+    shutil.copy(exported / "spring_controller.fmu", tmp_path)
+    assert remarks(built(tmp_path, hidden.name, wires=wrong)) == []
+    monkeypatch.setattr(plant_as_wired, "LONGEST", -1.0)
+    plant_as_wired.found.cache_clear()
+    assert remarks(built(exported, wires=wired(back=" * -2"))) == []
+    monkeypatch.undo()
+    for change, problem in ((None, None), (lambda text: text.replace('"mu": ', '"mu": 9'), "mu must lie in")):
+        changed = repacked(exported / "spring_controller.fmu", {"resources/design.json": change})
+        shutil.copy(changed, tmp_path / "spring_controller.fmu")
+        shutil.copy(exported / "spring_linear_plant.fmu", tmp_path)
+        said = remarks(built(tmp_path, wires=wrong))
+        assert (problem is None and said == []) or ("cannot be read, so that its model is not judged" in said[0])
+        assert problem is None or problem in said[0]
 
 
-def test_units_that_do_not_say_are_not_judged():
-    assert misfit({}, IDENT) is None
-    assert misfit(controller(A, B), {"mass": 1.0}) is None
-    assert design_model({**controller(A, B), "Phi_11": np.nan}) is None
-    assert plant_model({**IDENT, "m_p": 0.0}) is None
-    fit = distance(Model(A, B), Model(A, B))
-    assert fit.fits
-    assert (fit.A, fit.kinematics) == (0.0, 0.0)
+def test_a_controller_fmu_carries_its_design_and_a_resource_has_a_plain_name(exported):
+    for name in ("../design.json", "taken", ""):
+        with pytest.raises(ValueError, match="a resource must have a plain name"):
+            further_resources({name: b""}, ["taken"])
+    with zipfile.ZipFile(exported / "spring_controller.fmu") as archive:
+        found = json.loads(archive.read("resources/design.json"))
+    assert found["system"]["states"] == ["angle [rad]", "rate [rad/s]", "torque [N.m]"]

@@ -16,12 +16,12 @@ from cosim import structure
 from cosim.fmu import start_values_of
 from cosim.linearize import linear_model
 from cosim.master import simulate
-from cosim.scenario import load_scenario, run_scenario
-from fmu_export.native_fmu import export_native_fmu
-from ihc_fmu.estimation import estimator
+from cosim.model_match import remarks
+from cosim.scenario import build_system, load_scenario, run_scenario
+from cosim.system_export import export_system
+from fmu_export.errors import UserError
 from ihc_fmu.regulator.interface import INTERFACE, OUTPUTS
-from ihc_fmu.regulator.native_unit import NATIVE
-from ihc_fmu.regulator.start_values import LinearFilter, design_regulator
+from ihc_fmu.regulator.start_values import design_regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit
 from ihc_fmu.synthesis import chosen_options, inverse_design
 from ihc_fmu.system import System
@@ -221,13 +221,7 @@ def test_the_homogeneous_controller_brings_the_nonlinear_plant_to_rest_sooner_th
 
 def test_controller_and_plant_run_together_as_fmus(name, plant_of, fmu_of, tmp_path):
     design = inverse_design(system_of(name), chosen_options(system_of(name), mu=1.0).options)
-    estimated = None
-    if not design.system.measures_state:
-        found = estimator(design)
-        estimated = LinearFilter(F=found.F, G=found.G, C=np.asarray(design.system.C), M=found.M, decay=found.decay)
-    interface, hidden = design_regulator(design, estimated).exported()
-    path = tmp_path / f"{name}_controller.fmu"
-    export_native_fmu(NATIVE, path, interface=interface, hidden=hidden, identifier=path.stem)
+    export_system(design, tmp_path)
     shutil.copy(fmu_of(name), tmp_path)
     scenario, _ = load_scenario(str(EXAMPLES / name / f"{name}_run.toml"))
     result = run_scenario(scenario, tmp_path, tmp_path)
@@ -235,7 +229,40 @@ def test_controller_and_plant_run_together_as_fmus(name, plant_of, fmu_of, tmp_p
     plant, start = plant_of(name), scenario.plant.start
     signals = np.array([result[f"plant.{state}"] for state in plant.states])
     assert signals[:, 0].tolist() == [start.get(f"{state}_0", 0.0) for state in plant.states]
-    assert np.abs(signals[:, -1]).max() < (1e-3 if estimated is None else 0.02)
+    assert np.abs(signals[:, -1]).max() < (1e-3 if design.system.measures_state else 0.02)
+    _check_judgement(scenario, design.system, plant, tmp_path)
+
+
+def _check_judgement(scenario, system, plant, folder):
+    """The plant and its linear model fit without a remark, others of its kind fit, wires of another sign or order do not."""
+
+    def built(**changes):
+        return build_system(scenario.changed({n.replace("__", "."): v for n, v in changes.items()}), folder, folder)
+
+    assert remarks(built()) == remarks(built(plant__fmu=f"{system.name}_linear_plant.fmu", plant__start={})) == []
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        drawn = {name: value * rng.uniform(0.8, 1.2) for name, (value, *_) in plant.parameters.items()}
+        built(plant__start=drawn)
+    y, u = ([q.name for q in quantities] for quantities in (system.outputs, system.inputs))
+    there = [f"plant.{name} -> controller.{name}" for name in y]
+    back = [f"controller.{name} -> plant.{name}" for name in u]
+    swapped = [f"plant.{y[1 - i] if i < 2 else name} -> controller.{name}" for i, name in enumerate(y)]
+    crossed = [f"controller.{name} -> plant.{other}" for name, other in zip(u, reversed(u), strict=True)]
+    other = "model than the plant's, as it is wired: "
+    opposite = f"{other}the sign of {u[0]} is the opposite"
+    if system.u_eq[0] != 0.0:  # a negative thrust does not carry
+        opposite = "system than this plant, as it is wired: in its model z answers"
+    cases = [
+        ([f"{there[0]} * -1", *there[1:], *back], f"the sign of {y[0]} is the opposite"),
+        ([*there, *(f"{wire} * 0.001" for wire in back)], f"{', '.join(u)} (is|are) in thousands instead of "),
+        ([*swapped, *back], f"its (outputs|states) are in the order {y[1]}, {y[0]}"),
+        *([([*there, *crossed], f"its inputs are in the order {u[1]}, {u[0]}, not {u[0]}, {u[1]}")] if u[1:] else []),
+    ]
+    problems = [(wires, other + problem) for wires, problem in cases]
+    for wires, problem in [*problems, ([*there, f"{back[0]} * -1", *back[1:]], opposite)]:
+        with pytest.raises(UserError, match=f"the controller was designed for another {problem}"):
+            built(wires=wires)
 
 
 def test_the_servos_poles_are_the_published_ones():

@@ -1,0 +1,166 @@
+"""A plant's FMU as its controller sees it: coarsely linearized where the controller is to hold it, behind its wires.
+
+This is for a question that each run asks, so it takes one pair of differences for each state and input and is given up
+after LONGEST. What comes of it is a model to compare with, not to design with: `linearize` is for that.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from fmu_export.errors import UserError
+from fmu_export.units import per_second
+
+from .derivatives import FIRST, EvaluationError
+from .design_match import Seen
+from .fmu import FmuError, Value, describe, start_values_of
+from .interrupts import deferred_interrupt
+from .linear_plants import CoarseModel, Plant
+from .linearize import open_plant
+from .plant_variables import START, unit_of
+
+Array = np.ndarray
+
+LONGEST = 2.0
+"""What the question may take [s]."""
+PART = 0.1
+"""How far from the equilibrium differences go, as a part of how far the state or the input is to go."""
+COUNTS = 20.0
+"""How many counts of a sensor they go at least."""
+TRUE, RESOLUTION = "_true", "_resolution"
+"""How names in linear plants end: a state that an output has the name of, and a parameter, the step of a sensor; 0: none."""
+
+
+@dataclass(frozen=True)
+class Port:
+    """A wire: the plant's variable, the number of the controller's among its own, target = factor source + offset."""
+
+    name: str
+    number: int
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a variable of the plant is, how far it goes from there, and how far at least for sensors to tell."""
+
+    value: float
+    extent: float
+    least: float = 0.0
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of a plant. `places`: of states and inputs by name; states without one stay at their start values.
+
+    `content`: what tells this file from a later one of the same path. `start`: start values of the plant. `span` [s]: in
+    which the controller's model changes by a small part.
+    """
+
+    path: Path
+    content: str
+    start: tuple[tuple[str, Value | str], ...]
+    outputs: tuple[Port, ...]
+    inputs: tuple[Port, ...]
+    places: tuple[tuple[str, Place], ...]
+    span: float
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The plant as it is seen, and where: the values of its states and inputs.
+
+    `moving`: what does not rest there, in words, None where all does. `placed`: whether all states had their places.
+    """
+
+    seen: Seen
+    values: Mapping[str, float]
+    moving: str | None
+    placed: bool
+
+
+@lru_cache(maxsize=64)  # a campaign's runs have few plants
+def found(question: Question) -> Found | None:
+    """Return the plant; None where it cannot be evaluated, its states cannot be set, or it takes too long."""
+    try:
+        plant = open_plant(
+            question.path,
+            tuple(port.name for port in question.inputs),
+            tuple(dict.fromkeys(port.name for port in question.outputs)),
+            (),
+            dict(question.start) | _exact(question.path),
+            None,
+        )
+        with closing(plant), deferred_interrupt() as plant.interrupt, np.errstate(all="ignore"):
+            plant.deadline = time.monotonic() + LONGEST
+            return _found(plant, question)
+    except (UserError, FmuError, EvaluationError, np.linalg.LinAlgError):
+        return None
+
+
+def _exact(path: Path) -> dict[str, Value]:
+    """Return the start values that let a linear plant's sensors measure exactly."""
+    outputs = {v.name for v in describe(path)[1].modelVariables if v.causality == "output"}
+    own = start_values_of(path)
+    return {name: 0.0 for name in own if name.endswith(RESOLUTION) and name.removesuffix(RESOLUTION) in outputs}
+
+
+def _found(plant: Plant, question: Question) -> Found | None:
+    places = dict(question.places)
+    states = [places.get(v.name, places.get(v.name.removesuffix(TRUE))) for v in plant.states]
+    own = {name.removesuffix(TRUE) for name in plant.names[: plant.n]}
+    if places:  # not where the run begins, but where the controller is to hold it
+        plant.start = {name: value for name, value in plant.start.items() if name.removesuffix(START) not in own}
+    z = plant.begin()
+    chosen = [*states, *(places.get(v.name) for v in plant.inputs)]
+    z = np.array([value if place is None else place.value for value, place in zip(z, chosen, strict=True)])
+    widths = np.array([_width(size, place) for size, place in zip(plant.sizes(z), chosen, strict=True)])
+    model = plant.coarse(z, widths, question.span)
+    plant.look()
+    if not all(np.isfinite(M).all() for M in (model.A, model.B, model.C, model.D, model.rates)):
+        return None
+    seen = _seen(plant, model, question)
+    if seen is None:
+        return None
+    values = dict(zip(plant.names, z.tolist(), strict=True))
+    return Found(seen, values, _moving(plant, model, widths), None not in states)
+
+
+def _width(size: float, place: Place | None) -> float:
+    if place is None:
+        return FIRST * size
+    return max(min(FIRST * size, PART * place.extent), min(place.least, place.extent))
+
+
+def _seen(plant: Plant, model: CoarseModel, question: Question) -> Seen | None:
+    """Return the matrices between the controller's numbers, without outputs that are not smooth; None where none is."""
+    names = [v.name for v in plant.outputs]
+    told = [port for port in question.outputs if model.smooth[names.index(port.name)] and port.factor]
+    ports = sorted(told, key=lambda port: port.number)
+    if not ports:
+        return None
+    chosen, factors = [names.index(port.name) for port in ports], np.array([port.factor for port in ports])
+    columns = sorted({port.number for port in question.inputs})
+    onto = np.zeros((plant.m, len(columns)))
+    for j, port in enumerate(question.inputs):
+        onto[j, columns.index(port.number)] = port.factor
+    C, D = model.C[chosen] * factors[:, None], model.D[chosen] * factors[:, None] @ onto
+    return Seen(model.A, model.B @ onto, C, D, tuple(port.number for port in ports), tuple(columns))
+
+
+def _moving(plant: Plant, model: CoarseModel, widths: Array) -> str | None:
+    """Return which state moves most where it should be at rest, against what differences of this width do to it."""
+    allowed = np.abs(np.hstack((model.A, model.B))) @ widths
+    fast = np.abs(model.rates) > allowed + 1e-9 * widths[: plant.n]
+    if not fast.any():
+        return None
+    i = int(np.argmax(np.where(fast, np.abs(model.rates) / np.maximum(allowed, 1e-300), 0.0)))
+    return f"{plant.names[i]}' is {model.rates[i]:.3g} {per_second(unit_of(plant.states[i]))}"
