@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.random_systems import drawn
+from benchmarks.random_systems import distance, drawn
 from fmu_export.errors import UserError
 from ihc_fmu.certificate import CertificateError, settling_time_bound
 from ihc_fmu.companion import chain_form, generator
@@ -208,8 +208,9 @@ def test_gain_that_stabilizes_by_rounding_alone_is_refused():
 
 # Any order, number of inputs and units
 
-DRAWN = (1, 5, 9, 11, 12, 13, 19, 25, 27, 31, 36, 38)
-"""Seeds of n = 2..8, m = 1..3, all three kinds of systems and both of gains, with a largest unit ball for their alpha."""
+DRAWN = (1, 3, 5, 9, 11, 12, 13, 19, 26, 29, 31, 78)
+"""Seeds of n = 2..8, m = 1..3, all three kinds of systems and both of gains, with a largest unit ball for their alpha;
+flat ones among them: lambda_min/lambda_max of P is 1e-12 for that of 29."""
 
 
 def designed(method, case):
@@ -225,16 +226,12 @@ def test_units_of_states_inputs_and_time_do_not_matter(method, seed):
     here, plain = drawn(seed), drawn(seed, units=False)
     d, e = designed(method, here), designed(method, plain)
     for design, case in ((d, here), (e, plain)):
-        assert (design.u_max / case.u_max).max() == pytest.approx(1.0, rel=1e-3)
+        assert (design.u_max / case.u_max).max() == pytest.approx(1.0, rel=1e-5)
         assert design.certificate.decrease > 0.0
-    whitened = np.linalg.inv(np.linalg.cholesky(e.P))
-    same = whitened @ (here.units[:, None] * d.P * here.units) @ whitened.T
-    np.testing.assert_allclose(same, np.eye(d.n), atol=1e-3)
+    assert distance(d, e, here) < max(1e-6, 1e-16 / e.certificate.positive)
     x = np.random.default_rng(seed).normal(size=d.n)
     in_time = settling_time_bound(d, here.units * x) * here.omega
-    assert in_time == pytest.approx(settling_time_bound(e, x), rel=1e-3)
-    poles = [np.sort_complex(np.linalg.eigvals(f.A + f.B @ f.K) / rate) for f, rate in ((d, here.omega), (e, 1.0))]
-    np.testing.assert_allclose(poles[0], poles[1], rtol=1e-2)
+    assert in_time == pytest.approx(settling_time_bound(e, x), rel=1e-5)
 
 
 @pytest.mark.parametrize("alpha", [0.001, 0.1, 10.0, 100.0])
