@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.export import export_units
-from cosim.master import Component, Order, System, simulate
+from cosim.master import Order, simulate
 from cosim.scenario import WIRES
+from cosim.structure import Component, System
 from ihc_fmu.pendulum.start_values import default_design
 
 STEP, STEPS = 1e-3, 500

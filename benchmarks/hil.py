@@ -23,10 +23,10 @@ from cosim.hil.realtime import REFERENCE_MISSES, REFERENCE_TIME, undisturbed
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
 from cosim.hil.udp import UdpDevice, address_of
-from cosim.master import Component
 from cosim.metrics import kept_upright
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
+from cosim.structure import Component
 from ihc_fmu.pendulum.start_values import default_design
 
 RATES = (500.0, 1000.0, 2000.0)

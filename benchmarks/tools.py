@@ -31,8 +31,9 @@ from fmpy.ssp.simulation import simulate_ssp
 
 from benchmarks.monolithic import Monolithic
 from cosim.export import Kind, export_units
-from cosim.master import Component, Engine, Order, System, simulate
+from cosim.master import Engine, Order, simulate
 from cosim.scenario import WIRES
+from cosim.structure import Component, System
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.sliding_mode import fitted_smc

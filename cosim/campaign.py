@@ -24,10 +24,10 @@ import plant_fmu
 from fmu_export.reading import first_bytes, read_bytes
 
 from . import parameter_files
-from .errors import SimulationError, UserError
+from .errors import UserError
 from .fmu import describe
 from .interrupts import second_ends
-from .results import Result, versions
+from .results import Result, SimulationError, versions
 from .scenario import Scenario, files, run_scenario
 
 APPLICATION, VERSION = 0x51554245, 2

@@ -17,12 +17,12 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, Strict
 from fmu_export.variables import did_you_mean
 
 from .errors import UserError
-from .master import Signal, Wire
+from .structure import Signal, Wire
 from .typed import Finite, Positive, checked
 from .wiring import CONTROLLER, SET_POINT, Variables
 
 if TYPE_CHECKING:
-    from .results import Result
+    from .recording import Recording
 
 TOLERANCE = 0.02
 """|e| within which a run counts as settled, in its unit; of the pendulum [rad]."""
@@ -209,7 +209,7 @@ def pendulum_evaluation(known: Container[str], arm: str | float = 0.0) -> Evalua
     )
 
 
-def evaluation_in(result: Result) -> Evaluation:
+def evaluation_in(result: Recording) -> Evaluation:
     """Return what a result is judged by: what its metadata keep, the pendulum's where they keep nothing."""
     kept = result.metadata.get("evaluation")
     return pendulum_evaluation(result.signals) if kept is None else _kept(json.dumps(kept, sort_keys=True))

@@ -100,7 +100,8 @@ class FMU2Strict(Strict, fmpy.fmi2.FMU2Slave):
 def describe(path: Path) -> tuple[str, ModelDescription]:
     """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
 
-    Raises UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
+    It is unpacked again where its folder is gone, as where temporary files are tidied under a process that lasts. Raises
+    UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
     """
     folder, description = describe_any(path)
     if description.coSimulation is None:
@@ -118,7 +119,7 @@ def describe_any(path: Path) -> tuple[str, ModelDescription]:
         raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
-        if key not in _unpacked:
+        if key not in _unpacked or not Path(_unpacked[key][0], "modelDescription.xml").is_file():
             _unpacked[key] = _unpack(path)
     return _unpacked[key]
 

@@ -18,8 +18,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from fmu_export.reading import read_text
 
 from .errors import UserError
-from .master import Signal
 from .names import PlainName
+from .structure import Signal
 from .typed import Finite, Positive
 
 ROUNDING = 1e-12

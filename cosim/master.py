@@ -11,7 +11,6 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -19,12 +18,13 @@ import numpy as np
 
 from fmu_export.variables import did_you_mean
 
-from .errors import Interrupted, SimulationError, UserError
-from .fmu import RECORDED, FmuError, Instance, Port, Value
+from .errors import UserError
+from .fmu import RECORDED, FmuError, Instance, Port
 from .interrupts import deferred_interrupt, second_ends
 from .native_loop import NativeLoop, needs_python
-from .results import Result, versions
+from .results import Interrupted, Result, SimulationError, versions
 from .room import check_rows
+from .structure import System, Wire
 from .unit_definitions import scale_of, scale_text
 
 Order = Literal["controller-first", "parallel"]
@@ -39,58 +39,6 @@ PROGRESS_EVERY = 256
 
 MOST_STEPS = 10**9
 """Steps of the longest run."""
-
-
-@dataclass(frozen=True)
-class Component:
-    """An FMU in a system: its name there, its file, and the start values that differ from the file's."""
-
-    name: str
-    path: Path
-    start: Mapping[str, Value | str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class Wire:
-    """A connection from an output to an input, each as `instance.variable`: target = factor source + offset.
-
-    A factor other than 1 or an offset other than 0 is the user's word on the units, which then may differ.
-    """
-
-    source: str
-    target: str
-    factor: float = 1.0
-    offset: float = 0.0
-
-    @property
-    def converts(self) -> bool:
-        """Whether the value changes on its way."""
-        return self.factor != 1.0 or self.offset != 0.0
-
-
-@dataclass(frozen=True)
-class Signal:
-    """A function of time [s] on an input `instance.variable`, evaluated at the start of each step and held.
-
-    With `recorded` the input is recorded as outputs are: a row has the value of the step that ended there.
-    """
-
-    target: str
-    function: Callable[[float], float]
-    recorded: bool = field(default=False, kw_only=True)
-
-    def ahead(self, start_time: float, step: float, first: int, count: int) -> Sequence[float]:
-        """Return the values at start_time + k step for `count` steps from `first` on."""
-        return [self.function(start_time + k * step) for k in range(first, first + count)]
-
-
-@dataclass(frozen=True)
-class System:
-    """Components in their order of stepping, the wires between them, and signals from outside."""
-
-    components: Sequence[Component]
-    wires: Sequence[Wire] = ()
-    signals: Sequence[Signal] = ()
 
 
 def step_count(step: float, duration: float) -> int:

@@ -24,7 +24,7 @@ from .evaluation import (
     evaluation_in,
     pendulum_evaluation,
 )
-from .results import Result
+from .recording import Recording
 
 Array = np.ndarray
 
@@ -304,7 +304,7 @@ def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) 
     return [name for name in needed if name not in there]
 
 
-def can_evaluate(result: Result) -> bool:
+def can_evaluate(result: Recording) -> bool:
     """Return whether `result` has the signals that its metrics need."""
     about = evaluation_in(result)
     if not about.errors or missing_signals(result.signals, about):
@@ -315,13 +315,13 @@ def can_evaluate(result: Result) -> bool:
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
-def can_draw(result: Result) -> bool:
+def can_draw(result: Recording) -> bool:
     """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
     about = evaluation_in(result)
     return about.kind != "pendulum" or about.norm in result.signals
 
 
-def error(result: Result, about: ErrorSignal) -> Array:
+def error(result: Recording, about: ErrorSignal) -> Array:
     """Return an error at each row: what the controller is given of a signal, less its set-point."""
     e, point = given(result, about), set_point(result, about)
     if point is not None:
@@ -329,12 +329,12 @@ def error(result: Result, about: ErrorSignal) -> Array:
     return wrapped(e) if about.wraps else e
 
 
-def given(result: Result, about: ErrorSignal) -> Array:
+def given(result: Recording, about: ErrorSignal) -> Array:
     """Return a judged signal at each row, as the controller is given it."""
     return _converted(result[about.signal], about.factor, about.offset)
 
 
-def set_point(result: Result, about: ErrorSignal) -> Array | None:
+def set_point(result: Recording, about: ErrorSignal) -> Array | None:
     """Return an error's set-point at each row; None where it has none."""
     if about.set_point is not None:
         return _converted(result[about.set_point], about.point_factor, about.point_offset)
@@ -346,7 +346,7 @@ def _converted(signal: Array, factor: float, offset: float) -> Array:
     return plain if factor == 1.0 and offset == 0.0 else factor * plain + offset
 
 
-def error_norm(result: Result, about: Evaluation, group: Sequence[int]) -> Array:
+def error_norm(result: Recording, about: Evaluation, group: Sequence[int]) -> Array:
     """Return |e| of a group of errors at each row, each over its scale where there are scales."""
     errors = [error(result, about.errors[k]) for k in group]
     if about.scales is not None:
@@ -356,7 +356,7 @@ def error_norm(result: Result, about: Evaluation, group: Sequence[int]) -> Array
     return np.hypot(*errors) if len(errors) == 2 else np.sqrt(sum(e**2 for e in errors))
 
 
-def angle_norm(result: Result) -> Array:
+def angle_norm(result: Recording) -> Array:
     """Return |q| [rad] of the pendulum at each row: of the true angles where the result has them, else of the measured."""
     about = evaluation_in(result)
     if about.kind != "pendulum" or any(e.signal not in result.signals for e in about.errors):
@@ -378,7 +378,7 @@ def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:
     return np.flatnonzero(acts & ~np.concatenate([[False], acts[:-1]]))
 
 
-def kept_upright(result: Result) -> bool:
+def kept_upright(result: Recording) -> bool:
     """Return whether the stabilizing law took over once and acts at the end; without such a mode, whether all is finite."""
     about = evaluation_in(result)
     acts = None if about.mode is None else about.mode.value(ACTING)
@@ -393,13 +393,13 @@ def variation_rate(time: Array, signal: Array) -> float:
     return float(np.sum(np.abs(np.diff(signal))) / (time[-1] - time[0])) if len(time) > 1 else math.nan
 
 
-def has_every_row(result: Result) -> bool:
+def has_every_row(result: Recording) -> bool:
     """Return whether rows are a communication step apart, as far as the result says how long a step is."""
     step = result.metadata.get("step")
     return not isinstance(step, int | float) or float(np.median(np.diff(result.time))) < 1.5 * step
 
 
-def evaluate(result: Result, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
+def evaluate(result: Recording, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
     """Return the metrics of `result`; `tolerance` of |e| (None: the result's own) defines settling, `steady` [s] the window.
 
     Integrals are sums over the steps: |e|^2 by the trapezoidal rule, u^2 exactly, since the control of a row was held
@@ -421,7 +421,7 @@ def evaluate(result: Result, tolerance: float | None = None, steady: float = WIN
 class _Judge:
     """A result with its errors' norms and controls at hand."""
 
-    def __init__(self, result: Result, about: Evaluation, tolerance: float, steady: float) -> None:
+    def __init__(self, result: Recording, about: Evaluation, tolerance: float, steady: float) -> None:
         self.time, self.about, self.tolerance, self.steady = result.time, about, tolerance, steady
         self.late = self.time >= self.time[-1] - steady
         self.norms = {group: error_norm(result, about, group) for group in about.error_groups.values()}

@@ -34,7 +34,7 @@ from plant_fmu.linearization import linearize
 from plant_fmu.parameters import QubeParameters
 
 if TYPE_CHECKING:
-    from .master import System
+    from .structure import System
 
 Array = np.ndarray
 

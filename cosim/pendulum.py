@@ -18,7 +18,7 @@ from plant_fmu.parameters import QubeParameters
 
 from . import parameter_files
 from .errors import UserError
-from .master import Wire
+from .structure import Wire
 
 StartValue = bool | int | float | str
 StartValues = Mapping[str, StartValue]

@@ -19,7 +19,7 @@ from ihc_fmu.pendulum.interface import LAWS
 
 from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
 from .metrics import error_norm, given, set_point, wrapped
-from .results import Result
+from .recording import Recording
 
 COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837", "SMC1": "#e08214", "SMC2": "#a6611a"}
 """Of each law, in every picture."""
@@ -69,7 +69,7 @@ def colours(names: Iterable[str]) -> dict[str, str]:
     return {name: COLOURS[name] if name in COLOURS else next(others) for name in names}
 
 
-def law_of(result: Result) -> str:
+def law_of(result: Recording) -> str:
     """Return the law that a result was made with, empty where it does not say."""
     law = _start_of(result.metadata.get("scenario"), "start").get("law")
     if not isinstance(law, str):
@@ -95,7 +95,7 @@ PICTURES = {
 COMPARISON = tuple(dict.fromkeys(name for names in PICTURES.values() for name in names))
 
 
-def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> list[Path]:
+def save_comparison(results: Mapping[str, Recording], folder: Path, title: str) -> list[Path]:
     """Write pictures to `folder`, one curve per entry of `results`: what is judged, its norm, controls, homogeneous norm.
 
     They are angles.png, norm.png, voltage.png and homogeneous_norm.png for the pendulum, and signals.png and controls.png
@@ -119,19 +119,19 @@ def save_comparison(results: Mapping[str, Result], folder: Path, title: str) -> 
     ]
 
 
-def _has_norm(about: Evaluation, results: Iterable[Result]) -> bool:
+def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
     """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
     return about.norm is not None and (
         about.kind == "pendulum" or all(about.norm in result.signals for result in results)
     )
 
 
-def save_overview(result: Result, path: Path, title: str) -> Path:
+def save_overview(result: Recording, path: Path, title: str) -> Path:
     """Write the overview of a single result as a picture."""
     return save_figure(overview(result), path, title)
 
 
-def overview(result: Result) -> Figure:
+def overview(result: Recording) -> Figure:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     about = evaluation_in(result)
     has_norm = _has_norm(about, [result])
@@ -163,7 +163,7 @@ def overview(result: Result) -> Figure:
     return figure
 
 
-def panels_of(result: Result, names: Sequence[str]) -> Figure:
+def panels_of(result: Recording, names: Sequence[str]) -> Figure:
     """Return one figure with a panel for each of the signals `names`; raise UserError for one that is not there."""
     figure = Figure(figsize=(9, 1.8 * max(len(names), 2)), layout="constrained")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
@@ -201,13 +201,13 @@ def save_figure(figure: Figure, path: Path, title: str) -> Path:
     return path
 
 
-def angle(result: Result, name: str) -> np.ndarray:
+def angle(result: Recording, name: str) -> np.ndarray:
     """Return theta or delta [rad] to draw, measured where the true one is missing; delta wrapped, with gaps at its jumps."""
     errors = pendulum_evaluation(result.signals).errors
     return _drawn(result, errors[("theta", "delta").index(name)])
 
 
-def _drawn(result: Result, error: ErrorSignal) -> np.ndarray:
+def _drawn(result: Recording, error: ErrorSignal) -> np.ndarray:
     """Return a judged signal to draw, as the controller is given it; an angle wrapped, with gaps at its jumps."""
     if not error.wraps:
         return given(result, error)
@@ -217,7 +217,7 @@ def _drawn(result: Result, error: ErrorSignal) -> np.ndarray:
 
 
 def _draw_error(
-    axis: Any, result: Result, error: ErrorSignal, colour: str, name: str | None = None, begin: float = 0.0
+    axis: Any, result: Recording, error: ErrorSignal, colour: str, name: str | None = None, begin: float = 0.0
 ) -> None:
     """Draw a judged signal from a share of the run on, and its set-point where it has one."""
     shown = result.time >= begin * result.time[-1]
@@ -227,7 +227,7 @@ def _draw_error(
         axis.plot(result.time[shown], point[shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
 
 
-def _errors(results: Mapping[str, Result], about: Evaluation) -> Figure:
+def _errors(results: Mapping[str, Recording], about: Evaluation) -> Figure:
     """Return what is judged of each result: on the left the whole run, on the right its end, each with its own scale."""
     count, ribbon = len(about.errors), about.mode is not None
     figure = Figure(figsize=(11, 2.9 * count + 1.0), layout="constrained")
@@ -254,7 +254,7 @@ def _errors(results: Mapping[str, Result], about: Evaluation) -> Figure:
     return figure
 
 
-def _logarithmic(results: Mapping[str, Result], curves: Sequence[tuple[str, Any]]) -> Figure:
+def _logarithmic(results: Mapping[str, Recording], curves: Sequence[tuple[str, Any]]) -> Figure:
     """Return a panel for each (label, signal of a result) on a logarithmic axis."""
     figure, axes, ribbon = _with_ribbon(len(curves), results)
     shades = colours(results)
@@ -269,7 +269,7 @@ def _logarithmic(results: Mapping[str, Result], curves: Sequence[tuple[str, Any]
     return figure
 
 
-def _controls(results: Mapping[str, Result], about: Evaluation) -> Figure | None:
+def _controls(results: Mapping[str, Recording], about: Evaluation) -> Figure | None:
     """Return a panel for each result and control; None where nothing is controlled."""
     if not about.controls:
         return None
@@ -286,7 +286,7 @@ def _controls(results: Mapping[str, Result], about: Evaluation) -> Figure | None
     return figure
 
 
-def _with_ribbon(panels: int, results: Mapping[str, Result]) -> tuple[Figure, Sequence[Any], Any]:
+def _with_ribbon(panels: int, results: Mapping[str, Recording]) -> tuple[Figure, Sequence[Any], Any]:
     """Return a figure, its panels, and, where results have modes, a narrow axis below them that shows each one's."""
     figure = Figure(figsize=(9, 2.6 * panels + 1.6 if panels > 1 else 4.6), layout="constrained")
     modes = any(evaluation_in(result).mode is not None for result in results.values())
@@ -295,7 +295,7 @@ def _with_ribbon(panels: int, results: Mapping[str, Result]) -> tuple[Figure, Se
     return figure, axes[:panels], axes[panels] if modes else None
 
 
-def _finish(figure: Figure, axes: Sequence[Any], ribbon: Any, results: Mapping[str, Result]) -> None:
+def _finish(figure: Figure, axes: Sequence[Any], ribbon: Any, results: Mapping[str, Recording]) -> None:
     end = max(float(result.time[-1]) for result in results.values())
     if ribbon is not None:
         _ribbon(ribbon, results, (0.0, end))
@@ -305,7 +305,7 @@ def _finish(figure: Figure, axes: Sequence[Any], ribbon: Any, results: Mapping[s
     _mode_legend(figure, list(results.values()))
 
 
-def _ribbon(axis: Any, results: Mapping[str, Result], limits: tuple[float, float]) -> None:
+def _ribbon(axis: Any, results: Mapping[str, Recording], limits: tuple[float, float]) -> None:
     """Draw a row of modes for each result."""
     for row, result in enumerate(results.values()):
         shades = mode_colours(result)
@@ -316,20 +316,20 @@ def _ribbon(axis: Any, results: Mapping[str, Result], limits: tuple[float, float
     axis.set_xlim(*limits)
 
 
-def mode_names(result: Result) -> dict[int, str]:
+def mode_names(result: Recording) -> dict[int, str]:
     """Return the names of the controller's modes by their values, as people write them; none where it has no modes."""
     mode = evaluation_in(result).mode
     return {} if mode is None else {value: name.replace("_", "-") for value, name in mode.names.items()}
 
 
-def mode_colours(result: Result) -> dict[int, str]:
+def mode_colours(result: Recording) -> dict[int, str]:
     """Return a colour for each mode of the controller: a usual mode's own, others in turn."""
     mode, others = evaluation_in(result).mode, itertools.cycle(OTHER_MODES)
     named = {} if mode is None else mode.names
     return {value: MODE_COLOURS[name] if name in MODE_COLOURS else next(others) for value, name in named.items()}
 
 
-def mode_spans(result: Result) -> list[tuple[int, float, float]]:
+def mode_spans(result: Recording) -> list[tuple[int, float, float]]:
     """Return (mode, start, end) [s] of each stretch of time in one mode; none where the controller has no modes."""
     about = evaluation_in(result).mode
     if about is None:
@@ -340,13 +340,13 @@ def mode_spans(result: Result) -> list[tuple[int, float, float]]:
     return [(int(mode[a]), float(time[a]), float(time[b])) for a, b in zip(starts, ends, strict=True)]
 
 
-def _shade_modes(axis: Any, result: Result) -> None:
+def _shade_modes(axis: Any, result: Recording) -> None:
     shades = mode_colours(result)
     for mode, start, end in mode_spans(result):
         axis.axvspan(start, end, color=shades.get(mode, UNKNOWN), alpha=0.45, lw=0)
 
 
-def _mode_legend(figure: Figure, results: Sequence[Result]) -> None:
+def _mode_legend(figure: Figure, results: Sequence[Recording]) -> None:
     seen = {
         (mode, mode_names(result).get(mode, str(mode)), mode_colours(result).get(mode, UNKNOWN))
         for result in results

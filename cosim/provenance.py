@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, StrictInt, StrictStr
 
 from .names import PlainName
-from .results import Result
+from .recording import Recording
 from .typed import Positive, checked
 
 
@@ -56,6 +56,6 @@ class Provenance(_Part):
     scenario: ScenarioUsed = ScenarioUsed()
 
 
-def provenance(result: Result, source: object = "the result's metadata") -> Provenance:
+def provenance(result: Recording, source: object = "the result's metadata") -> Provenance:
     """Return how `result` came about; raise UserError, which begins with `source`, for metadata of another shape."""
     return checked(Provenance, result.metadata, str(source))

@@ -11,7 +11,7 @@ import hashlib
 import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,10 +24,11 @@ from fmu_export.files import uninterrupted
 from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError
+from .provenance import provenance
+from .recording import Recording
 from .room import check_memory
 
 if TYPE_CHECKING:
-    import pandas
     from matplotlib.figure import Figure
 
 FORMAT = "qube-ihc result 2"
@@ -51,37 +52,8 @@ Array = np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
-    """Signals at communication points.
-
-    time [s] of shape (rows,); signals by name `instance.variable`, each of shape (rows,), float64 or int64; units by
-    the same names; metadata as JSON types. A row holds every output at its time; with the order controller-first the
-    voltage of a row is the one that was applied over the step that ended there, with parallel the one of the next step.
-    """
-
-    time: Array
-    signals: dict[str, Array]
-    units: dict[str, str]
-    metadata: dict[str, Any] = field(default_factory=dict)
-
-    def __getitem__(self, name: str) -> Array:
-        try:
-            return self.signals[name]
-        except KeyError:
-            raise UserError(f"the result has no signal {name!r}; it has {', '.join(self.signals)}") from None
-
-    def to_dataframe(self) -> pandas.DataFrame:
-        """Return the table with the time [s] as its index and a column for each signal; `attrs` has units and metadata.
-
-        Raises UserError where pandas is not installed.
-        """
-        try:
-            import pandas  # noqa: PLC0415 - optional
-        except ImportError:
-            raise UserError("to_dataframe needs pandas, which is not installed: pip install pandas") from None
-        table = pandas.DataFrame(dict(self.signals), index=pandas.Index(self.time, name="time"))
-        table.attrs |= {"units": dict(self.units), "metadata": self.metadata}
-        return table
+class Result(Recording):
+    """What a run recorded: a recording that can be drawn, written and read."""
 
     def plot(self, *names: str) -> Figure:
         """Return a Matplotlib figure with a panel for each of the signals `names`.
@@ -89,7 +61,7 @@ class Result:
         Without names: the overview of what the run is judged by, or of all signals where it cannot be judged. Raises
         UserError for a signal that is not there, or a result without rows.
         """
-        from .metrics import can_draw, can_evaluate  # noqa: PLC0415 - they need this module
+        from .metrics import can_draw, can_evaluate  # noqa: PLC0415 - heavy
         from .plots import overview, panels_of  # noqa: PLC0415
 
         if not len(self.time) or not self.signals:
@@ -143,10 +115,24 @@ class Result:
         if not (np.isfinite(arrays[0]).all() and np.all(arrays[0][1:] > arrays[0][:-1])):
             raise UserError(f"{path}: the time must grow from row to row")
         result = cls(arrays[0], dict(zip(names[1:], arrays[1:], strict=True)), header["units"], header["metadata"])
-        from .provenance import provenance  # noqa: PLC0415 - it needs this module
-
         provenance(result, f"{path.with_suffix('.json')}: metadata")
         return result
+
+
+class SimulationError(RuntimeError):
+    """A run failed on the way; `result` holds everything recorded until then, `time` and `instance` say where."""
+
+    def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
+        super().__init__(message)
+        self.result, self.time, self.instance = result, time, instance
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a run; `result` holds everything recorded until then."""
+
+    def __init__(self, result: Result) -> None:
+        super().__init__("interrupted")
+        self.result = result
 
 
 def _description(path: Path) -> dict[str, Any]:

@@ -24,10 +24,11 @@ from . import parameter_files, pendulum, ssp, wiring
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
-from .master import Component, Engine, Order, Signal, System, Wire, step_count
+from .master import Engine, Order, step_count
 from .names import PlainName
 from .pendulum import WIRES, StartValue
 from .results import Result
+from .structure import Component, Signal, System, Wire
 from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, Variables, WireSection
 

@@ -32,8 +32,8 @@ from fmu_export.ssp import OMS, SSC, SSD, write_ssp
 from .archives import unpack
 from .errors import UserError
 from .fmu import Value, describe, start_values_of
-from .master import System
 from .names import is_plain
+from .structure import System
 from .unit_definitions import conversion, scale_of
 from .wiring import CONTROLLER, PLANT
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from .errors import UserError
 from .fmu import RECORDED
-from .master import Wire
+from .structure import Wire
 from .typed import Finite
 
 CONTROLLER, PLANT = "controller", "plant"

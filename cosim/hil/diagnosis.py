@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import UserError
 from ..fmu import FmuError
 from ..interrupts import second_ends
-from ..master import Component
+from ..structure import Component
 from . import checks
 from .device import LED_IDLE, Device, DeviceError
 from .log import percentiles

@@ -17,11 +17,11 @@ import numpy as np
 from ..errors import UserError
 from ..fmu import FmuError, Instance
 from ..interrupts import second_ends
-from ..master import Component
 from ..metrics import STABILIZING
 from ..native_loop import NativeLoop
 from ..results import Result, versions
 from ..signals import STOPPING
+from ..structure import Component
 from . import checks
 from .device import LED_BALANCE, LED_IDLE, LED_STOPPED, LED_SWING_UP, Device, DeviceError
 from .guards import STALL_VOLTAGE, Action, Guard

@@ -14,12 +14,13 @@ from plant_fmu.parameters import ParameterSet, QubeParameters
 
 from ..errors import UserError
 from ..fmu import start_values_of
-from ..master import Component, System, simulate
+from ..master import simulate
 from ..metrics import wrapped
 from ..parameter_files import chosen
 from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
+from ..structure import Component, System
 from .identify import Beginning, beginning
 from .replay import MEASURED
 from .scaling import RESOLUTION

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import SimulationError, UserError
+from ..errors import UserError
 from ..fmu import FmuError, describe
 from ..interrupts import second_ends
-from ..master import Component
 from ..provenance import Provenance, provenance
-from ..results import Result
+from ..results import Result, SimulationError
+from ..structure import Component
 from .loop import Controller
 
 MEASURED = ("plant.theta_encoder", "plant.delta_encoder")

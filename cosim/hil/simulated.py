@@ -18,7 +18,7 @@ from filing.files import write_file
 
 from ..errors import UserError
 from ..fmu import FmuError, Instance
-from ..master import Component
+from ..structure import Component
 from .device import (
     AMPLIFIER_FAULT,
     LED_STOPPED,

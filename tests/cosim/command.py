@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
-from cosim import cli, display, signals
+from cosim import cli, signals
+from cosim.cli import display
 
 PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 """The environment for plain text in stdout and stderr."""

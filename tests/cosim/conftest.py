@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from cosim.export import export_units
-from cosim.master import Component
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
+from cosim.structure import Component
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.pendulum.start_values import default_design
 

@@ -18,11 +18,11 @@ from hypothesis import strategies as st
 
 from cosim import campaign
 from cosim.campaign import Job, Journal, code_files, run_all, run_numbers
-from cosim.errors import SimulationError, UserError
+from cosim.errors import UserError
 from cosim.export import Kind, export_units
 from cosim.fmu import Instance
 from cosim.metrics import evaluate
-from cosim.results import Result
+from cosim.results import Result, SimulationError
 from cosim.scenario import load_scenario, run_scenario
 
 SHORT = {"run.duration": 0.2, "plant.start.noise_std": 1e-4}

@@ -1,6 +1,7 @@
 """One FMU: what is refused before it runs, start values, messages of the right instance, nothing left behind."""
 
 import math
+import shutil
 import sys
 import tempfile
 import zipfile
@@ -93,6 +94,13 @@ def test_an_fmu_is_unpacked_once_until_its_file_changes(tmp_path, tiny_slave):
     folder, description = describe(path)
     assert folder != first[0]
     assert {v.name: v.start for v in description.modelVariables}["gain"] == "3.0"
+
+
+def test_an_fmu_whose_folder_was_tidied_away_is_unpacked_again(tmp_path, tiny_slave):
+    path = export_python_fmu(tiny_slave, tmp_path / "Tiny.fmu")
+    shutil.rmtree(describe(path)[0])
+    folder, _ = describe(path)
+    assert Path(folder, "resources").is_dir()
 
 
 def test_folders_with_spaces_hold_fmus_and_unpacked_ones(tmp_path, monkeypatch, tiny_slave):

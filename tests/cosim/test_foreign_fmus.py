@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from cosim import master
-from cosim.errors import SimulationError, UserError
+from cosim.errors import UserError
 from cosim.fmu import describe
 from cosim.hil.replay import controller_of, replay
-from cosim.master import Component, Signal, System, Wire, simulate
-from cosim.results import Result
+from cosim.master import simulate
+from cosim.results import Result, SimulationError
+from cosim.structure import Component, Signal, System, Wire
 from fmu_export.native_build import build_library, host_platform
 from tests.cosim.hil import rig
 
@@ -363,7 +364,8 @@ import sys
 from pathlib import Path
 from cosim import campaign, interrupts
 from cosim.hil.loop import Loop
-from cosim.master import Component, System, simulate
+from cosim.master import simulate
+from cosim.structure import Component, System
 from cosim.scenario import Scenario
 from tests.cosim.hil import rig
 interrupts.GRACE = 0.2

@@ -540,6 +540,6 @@ def test_the_command_refuses_in_one_sentence_and_writes_nothing(fmus, tmp_path, 
 
 @pytest.mark.parametrize(("text", "value"), [("pi", np.pi), ("-pi/2", -np.pi / 2), ("2*pi", 2 * np.pi), ("1e-3", 1e-3)])
 def test_values_may_be_multiples_of_pi(text, value):
-    from cosim.plant_commands import _value
+    from cosim.cli.linearize import _value
 
     assert _value("x", text) == value

@@ -13,8 +13,9 @@ import pytest
 from cosim import master
 from cosim.errors import UserError
 from cosim.fmu import describe
-from cosim.master import PROGRESS_EVERY, Component, Interrupted, Signal, SimulationError, System, Wire, simulate
+from cosim.master import PROGRESS_EVERY, Interrupted, SimulationError, simulate
 from cosim.scenario import build_system, load_scenario
+from cosim.structure import Component, Signal, System, Wire
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.start_values import controller_start_values
 from ihc_fmu.pendulum.unit import IhcControllerUnit

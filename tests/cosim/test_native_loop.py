@@ -12,8 +12,9 @@ import pytest
 
 from cosim import native_loop
 from cosim.errors import UserError
-from cosim.master import ORDERS, Interrupted, Signal, SimulationError, System, Wire, simulate
+from cosim.master import ORDERS, Interrupted, SimulationError, simulate
 from cosim.native_loop import SECONDS_PER_CALL, SIGNAL_STEPS
+from cosim.structure import Signal, System, Wire
 from fmu_export.native_build import BuildError
 
 

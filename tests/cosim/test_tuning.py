@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.campaign import Journal
-from cosim.display import change_text
+from cosim.cli.display import change_text
 from cosim.draws import drawn
 from cosim.errors import UserError
 from cosim.metrics import evaluate, kept_upright

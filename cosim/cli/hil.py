@@ -1,52 +1,32 @@
-"""The commands `hil`, `device`, `replay`, `overlay` and `identify`."""
+"""The command `hil`."""
 
 from __future__ import annotations
 
-import math
-import signal
 import subprocess
 import sys
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from filing.files import staging
-from filing.ownership import check_replaceable
 from fmu_export.files import uninterrupted
 from fmu_export.variables import did_you_mean
 
-from ..display import console, escaped, print_metrics, print_results, problems, progress, say_notes, show_table
 from ..errors import UserError
-from ..options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .display import console, escaped, print_metrics, problems, say_notes, show_table
+from .options import FAILED, SCENARIO_HELP, ControllerOption, FmusOption, SetOption, assignments
 
 if TYPE_CHECKING:
-    from ..master import Component
+    from ..hil.device import Device
+    from ..hil.loop import Report
+    from ..hil.settings import Settings
     from ..results import Result
     from ..scenario import Scenario
-    from .device import Device
-    from .loop import Report
-    from .settings import Settings
+    from ..structure import Component
 
-FAILED = 1
 
 LOWEST_RATE, HIGHEST_RATE = 100.0, 10_000.0
 """Sampling rates [Hz]: below, a device takes two periods for a loop that has died."""
-
-RunArgument = Annotated[Path, typer.Argument(help="Result of `hil` (CSV, with its JSON beside it).")]
-ControllerOption = Annotated[
-    Path | None, typer.Option(help="Controller FMU; none: the scenario's, in the folder of `--fmus`.")
-]
-
-
-OTHER_FMU = "this FMU is not the file that the log was made with (another GUID)"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    for command in (hil, device, replay, overlay, identify):
-        app.command()(command)
 
 
 def hil(
@@ -106,8 +86,8 @@ def hil(
 
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
+    from ..hil.settings import Settings
     from ..scenario import build_system, load_scenario, remarks
-    from .settings import Settings
 
     if on_fall not in ("swing-up", "stop"):
         raise UserError(f"--on-fall must be swing-up or stop, found {on_fall!r}")
@@ -117,7 +97,7 @@ def hil(
     chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
     if chosen.plant.measurement == "ideal":
         raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    _check_device(chosen)
+    check_device(chosen)
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
     say_notes(remarks(system))
@@ -138,6 +118,8 @@ def hil(
 
 
 BOARDS = ("qube", "qlabs")
+
+
 DEVICES = (*BOARDS, "sim")
 
 
@@ -153,16 +135,16 @@ def _device(
     text: str, plant: Component, faults: str, *, lockstep: bool, watchdog: bool, identifier: str | None
 ) -> Device:
     if text == "sim":
-        from .faults import parse
-        from .simulated import Board, SimulatedDevice
+        from ..hil.faults import parse
+        from ..hil.simulated import Board, SimulatedDevice
 
         return SimulatedDevice(Board(plant, parse(faults)), real_time=not lockstep)
     if text in BOARDS:
-        from .quanser import QuanserDevice
+        from ..hil.quanser import QuanserDevice
 
         return QuanserDevice(text, watchdog=watchdog, identifier=identifier)
     if text.startswith("udp://"):
-        from .udp import UdpDevice, address_of
+        from ..hil.udp import UdpDevice, address_of
 
         return UdpDevice(address_of(text.removeprefix("udp://")), real_time=not lockstep)
     raise UserError(
@@ -171,7 +153,7 @@ def _device(
 
 
 def _check(device: Device, component: Component, settings: Settings) -> None:
-    from .diagnosis import diagnose
+    from ..hil.diagnosis import diagnose
 
     good = True
     colours = {"ok": "green", "note": "yellow", "wrong": "bold red"}
@@ -185,8 +167,8 @@ def _check(device: Device, component: Component, settings: Settings) -> None:
 def _run(
     device: Device, component: Component, settings: Settings, scenario: Scenario, output: Path, status: bool | None
 ) -> None:
-    from .log import free_path, recover
-    from .loop import Loop
+    from ..hil.log import free_path, recover
+    from ..hil.loop import Loop
 
     output.mkdir(parents=True, exist_ok=True)
     for path, rows in recover(output):
@@ -269,7 +251,7 @@ def _print_report(report: Report, path: Path) -> None:
 
 def _elsewhere(result: Result) -> str:
     """Return what a bare loop missed on another machine at the same rate, for comparison."""
-    from .realtime import REFERENCE_MISSES, REFERENCE_TIME
+    from ..hil.realtime import REFERENCE_MISSES, REFERENCE_TIME
 
     rate = result.metadata["hil"]["rate"]
     if (rate, True) not in REFERENCE_MISSES:
@@ -283,207 +265,15 @@ def _judged(component: Component) -> dict[str, Any]:
     """Return the log's word on what it is judged by, where the controller is to hold the arm at another angle than 0."""
     from ..evaluation import ARM_SET_POINT, pendulum_evaluation
     from ..fmu import start_values_of
-    from .replay import MEASURED
+    from ..hil.replay import MEASURED
 
     arm = float({**start_values_of(Path(component.path)), **component.start}.get(ARM_SET_POINT, 0.0))
     return {"evaluation": pendulum_evaluation(MEASURED, arm).model_dump(mode="json")} if arm else {}
 
 
-def _check_device(scenario: Scenario) -> None:
+def check_device(scenario: Scenario) -> None:
     """Raise UserError for a scenario that is more, or less, than a controller and a plant in the device's place."""
     if list(scenario.parts) != ["controller", "plant"] or scenario.wires is not None or scenario.signals:
         raise UserError(
             f"a device is one plant with one controller; the scenario {scenario.name} has other components, wires or signals"
         )
-
-
-def device(
-    listen: Annotated[str, typer.Option(help="Address to listen at, HOST:PORT.")] = "127.0.0.1:18950",
-    scenario: Annotated[str, typer.Option(help=f"The plant. {SCENARIO_HELP}")] = "device",
-    change: SetOption = None,
-    fmus: FmusOption = Path("fmus"),
-    faults: Annotated[str, typer.Option(help="Faults, as for `hil --device sim`.")] = "",
-    record: Annotated[
-        Path | None,
-        typer.Option(help="CSV file for the device's own record of its voltage, written at each session's end."),
-    ] = None,
-    once: Annotated[bool, typer.Option("--once", help="End after one session.")] = False,
-    real_time: Annotated[bool, typer.Option(help="Ask for real-time scheduling and locked memory.")] = True,
-) -> None:
-    """Simulate the device in a process of its own, for `hil --device udp://HOST:PORT`; Ctrl-C ends it.
-
-    It has its own clock, or goes in lockstep where `hil --lockstep` asks for it, and cuts its voltage where it hears nothing
-    for 20 ms.
-    """
-    from ..interrupts import second_ends
-    from ..scenario import build_system, load_scenario
-    from .faults import parse
-    from .loop import stop_signals
-    from .realtime import undisturbed
-    from .simulated import Board
-    from .udp import Server, address_of, beyond_loopback
-
-    chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed(dict(assignments(change)))
-    _check_device(chosen)
-    _, plant = build_system(chosen, fmus, folder).components
-    board = Board(plant, parse(faults))
-    if record is not None:
-        check_replaceable(record)
-
-    def say(text: str) -> None:
-        console.print(escaped(text), soft_wrap=True)
-        if record is not None and board.record:
-            board.save_record(record)
-
-    with stop_signals() as received, second_ends():
-        server = Server(board, address_of(listen), say)
-        say(f"listening at {server.address[0]}:{server.address[1]}")
-        if beyond_loopback(server.address):
-            problems.print(
-                "[yellow]warning:[/] whoever reaches this address over the network can use the device, and the messages are "
-                "neither signed nor secret; 127.0.0.1 is for this machine alone",
-                soft_wrap=True,
-            )
-        with undisturbed(real_time=real_time):
-            server.serve(lambda: bool(received) or (once and server.sessions > 0))
-    if record is not None:
-        board.save_record(record)
-    if received:
-        raise typer.Exit(128 + signal.Signals(received[0]))
-
-
-def replay(run: RunArgument, controller: ControllerOption = None, fmus: FmusOption = Path("fmus")) -> None:
-    """Feed a log's measurements to the controller FMU again and check that it commands the same, bit for bit."""
-    from ..results import Result
-    from .replay import controller_of
-    from .replay import replay as run_replay
-
-    result = Result.load(run)
-    found = run_replay(result, controller_of(result, controller, fmus))
-    if not found.same_fmu:
-        say_notes([OTHER_FMU])
-    if found.first is None:
-        console.print(f"exact: {found.samples} samples replayed, every output as in the log to the last bit")
-        return
-    first = found.first
-    console.print(
-        f"not exact: {found.differing} of {found.samples} rows differ, the first at {first.time:g} s: "
-        f"{escaped(first.name)} is {first.logged!r} in the log and {first.replayed!r} in the replay",
-        soft_wrap=True,
-    )
-    raise typer.Exit(FAILED)
-
-
-def overlay(
-    run: RunArgument,
-    parameters: Annotated[
-        str | None,
-        typer.Option(help="Parameter set of the simulated plant, by name or TOML file; none: the run's own."),
-    ] = None,
-    begin: Annotated[float, typer.Option(min=0.0, help="Time in the log from which to simulate [s].")] = 0.0,
-    controller: ControllerOption = None,
-    fmus: FmusOption = Path("fmus"),
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder to write to; none: `NAME_overlay` beside the run.")
-    ] = None,
-) -> None:
-    """Re-simulate a run from where its log begins and lay the simulation over the hardware: pictures, metrics."""
-    from ..plots import COMPARISON, save_comparison
-    from ..provenance import provenance
-    from ..results import Result
-    from .overlay import as_seen, differences, resimulate
-    from .replay import controller_of, is_own
-    from .scaling import RESOLUTION
-
-    result = Result.load(run)
-    folder = output or run.with_name(f"{run.stem}_overlay")
-    pictures = (f"{name}.png" for name in COMPARISON)
-    check_replaceable(*(folder / name for name in ("simulation.csv", "simulation.json", *pictures)))
-    plant, own = fmus / provenance(result).scenario.plant.fmu, controller_of(result, controller, fmus)
-    if not is_own(result, own):
-        say_notes([OTHER_FMU])
-    with progress() as bar:
-        task = bar.add_task("simulation", total=None)
-        found = resimulate(
-            result,
-            (plant, own),
-            parameters,
-            begin,
-            lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    measured, simulated = found.measured, found.simulated
-    both = {"device": measured, "simulation": as_seen(simulated, measured)}
-    with staging(folder) as place:
-        simulated.save(place / "simulation.csv")
-        save_comparison(both, place, f"{run.name} and its simulation with {parameters or 'its own plant'}")
-    print_results(both)
-    for name, value in differences(measured, simulated).items():
-        console.print(f"RMS difference of {name}: {value:.4g} {escaped(measured.units[name])}", highlight=False)
-    console.print(
-        f"over stretches of 0.25 s the model is {1e3 * found.beginning.rms:.3g} mrad RMS off; counting alone gives "
-        f"{1e3 * RESOLUTION / math.sqrt(12.0):.3g} mrad",
-        highlight=False,
-        soft_wrap=True,
-    )
-    console.print(f"simulation and pictures in {escaped(folder)}", soft_wrap=True)
-
-
-def identify(
-    run: RunArgument,
-    names: Annotated[str, typer.Option("--fit", help="Parameters to fit, separated by commas.")] = "D_r,D_p,T_r",
-    parameters: Annotated[
-        str, typer.Option(help="Parameter set to start from, by name or TOML file; what is not fitted stays.")
-    ] = "ident",
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="TOML file to write; none: `NAME_parameters.toml` beside the run."),
-    ] = None,
-) -> None:
-    """Fit damping and friction of the plant to a log and write them as a parameter set, with confidence intervals.
-
-    The file goes into `--parameters` of `export` and `overlay`, or `plant.parameters` of a scenario.
-    """
-    from plant_fmu.parameters import QubeParameters
-
-    from .. import parameter_files
-    from ..results import Result
-    from .identify import LIKE_VOLTAGE
-    from .identify import identify as run_identify
-    from .scaling import RESOLUTION
-
-    result = Result.load(run)
-    start = parameter_files.chosen(parameters)
-    path = output or run.with_name(f"{run.stem}_parameters.toml")
-    check_replaceable(path)
-    with console.status("identification") as shown:
-        found = run_identify(
-            result,
-            start,
-            tuple(name.strip() for name in names.split(",")),
-            progress=lambda trials, rms: shown.update(f"trial {trials}: residual {rms:.3g} rad"),
-        )
-    parameter_files.save(path, found.parameters)
-    headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
-    units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
-    for name, e in found.estimates.items():
-        numbers = (e.value, e.low, e.high, getattr(start.parameters, name))
-        rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
-    show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
-    unknown = [name for name, e in found.estimates.items() if not e.identifiable]
-    if found.disturbed:
-        p = found.parameters.parameters
-        problems.print(
-            f"[yellow]note:[/] the residuals show a disturbance that the model lacks, like {found.disturbance:.2g} V RMS at "
-            f"the motor, {found.disturbance * p.k_m / p.R_m:.2g} N.m: the arm's damping and friction cannot be told from "
-            "it, whatever their intervals say"
-        )
-        unknown = [name for name in unknown if name not in LIKE_VOLTAGE]
-    if unknown:
-        problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
-    console.print(
-        f"RMS residual {found.rms_before:.3g} rad before, {found.rms_after:.3g} rad after, from {found.samples} samples in "
-        f"{found.segments} segments; one encoder count is {RESOLUTION:.3g} rad",
-        soft_wrap=True,
-    )
-    console.print(f"wrote {escaped(path)}", soft_wrap=True)

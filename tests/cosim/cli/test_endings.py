@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim import cli, signals
+from cosim import signals
 from cosim.cli import main
-from cosim.display import console, degrade_output, problems
-from cosim.errors import SimulationError, UserError
+from cosim.cli.display import console, degrade_output, problems
+from cosim.errors import UserError
 from cosim.fmu import FmuError
 from cosim.hil.device import DeviceError
 from cosim.plots import save_comparison, save_overview
-from cosim.results import Result
+from cosim.results import Result, SimulationError
 from fmu_export.native_build import BuildError
 from tests.cosim.command import started
 
@@ -64,7 +64,7 @@ def test_an_error_ends_with_its_code_and_only_a_fault_shows_its_traceback(ended,
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(cli, "_loaded", fail)
+    monkeypatch.setattr("cosim.scenario.load_scenario", fail)
     found, err = ended("run", "tilt", *debug)
     assert found == code
     assert says in err

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
     from ihc_fmu.design import Design
 
-    from .draws import Estimate
-    from .experiments import Comparison
-    from .metrics import Quantity
-    from .paper.claims import Claim
-    from .results import Result
-    from .tuning import Outcome, Tuning
+    from ..draws import Estimate
+    from ..experiments import Comparison
+    from ..metrics import Quantity
+    from ..paper.claims import Claim
+    from ..results import Result
+    from ..tuning import Outcome, Tuning
 
 console = Console(emoji=False)
 problems = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
@@ -122,7 +122,7 @@ def print_metrics(result: Result) -> None:
     """Print the metrics of a result, one a line."""
     from rich.cells import cell_len
 
-    from .metrics import evaluate, unsteady
+    from ..metrics import evaluate, unsteady
 
     metrics = evaluate(result)
     why = unsteady(metrics)
@@ -143,8 +143,8 @@ def _mark(q: Quantity, steady: bool, value: float) -> str:
 
 def print_results(results: Mapping[str, Result]) -> None:
     """Print the metrics of several results side by side; raise UserError where they are judged by different signals."""
-    from .errors import UserError
-    from .metrics import evaluate, unsteady
+    from ..errors import UserError
+    from ..metrics import evaluate, unsteady
 
     metrics = {name: evaluate(result) for name, result in results.items()}
     quantities = next(iter(metrics.values())).quantities
@@ -198,7 +198,7 @@ VERDICTS = {1: "worse", 0: "open", -1: "better"}
 
 def comparison_rows(comparison: Comparison) -> list[list[str]]:
     """Return a row for each metric with a cell for each law, and one for the draws in which the law acted to the end."""
-    from .metrics import is_pendulum
+    from ..metrics import is_pendulum
 
     rows = []
     for q in (comparison.quantities[name] for name in comparison.shown):
@@ -313,7 +313,7 @@ def _unit(unit: str) -> str:
 
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
-    from .metrics import is_pendulum
+    from ..metrics import is_pendulum
 
     q, linear, variation = tuning.quantities[tuning.measure], tuning.linear, tuning.chattering
     drawn = f", {linear.draws} draws; ± 95 % interval" if linear.draws > 1 else ""

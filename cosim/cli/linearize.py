@@ -1,4 +1,4 @@
-"""The commands `linearize` and `new`."""
+"""The command `linearize`."""
 
 from __future__ import annotations
 
@@ -11,22 +11,18 @@ import typer
 from filing.ownership import check_replaceable
 from fmu_export.errors import shown
 
+from ..errors import UserError
 from .display import console, escaped, problems, say_notes, show_table
-from .errors import UserError
 from .options import assignments
 
 if TYPE_CHECKING:
-    from .linear_model import LinearModel
+    from ..linear_model import LinearModel
+
 
 _PI = re.compile(r"([+-]?)(?:(\d+(?:\.\d*)?)\s*\*?\s*)?pi(?:\s*/\s*(\d+(?:\.\d*)?))?")
 
+
 NamesOption = list[str] | None
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands to the command line."""
-    app.command()(linearize)
-    app.command()(new)
 
 
 def linearize(
@@ -74,9 +70,9 @@ def linearize(
 
     What you add to the file above its line (weights, limits, resolutions) stays when the command is repeated.
     """
-    from .interrupts import second_ends
-    from .linearize import linear_model
-    from .system_file import write
+    from ..interrupts import second_ends
+    from ..linearize import linear_model
+    from ..system_file import write
 
     path = output or Path(f"{fmu.stem}.toml")
     if path.suffix != ".toml":
@@ -147,27 +143,3 @@ def _print(model: LinearModel) -> None:
 
 def _pole(p: complex) -> str:
     return f"{p.real:.4g}" if abs(p.imag) < 1e-9 * max(1.0, abs(p)) else f"{p.real:.4g}{p.imag:+.4g}i"
-
-
-def new(
-    name: Annotated[str, typer.Argument(help="Name of the plant: letters, digits, underscores.", show_default=False)],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Folder to write to; none: one of the plant's name.")
-    ] = None,
-) -> None:
-    """Begin with a plant of your own: write a plant in Python, its system file and a scenario, which run as they are."""
-    from .new import class_name
-    from .new import new as write_new
-
-    for path in write_new(name, Path(name) if output is None else output):
-        console.print(f"wrote {escaped(path)}")
-    commands = (
-        f"pythonfmu build -f {name}.py -d {name}.fmu",
-        f"qube-ihc linearize {name}.fmu --input torque",
-        f"qube-ihc design --system {name}.toml -o {name}.json",
-        f"qube-ihc export --design {name}.json -o .",
-        f"qube-ihc run {name}_run.toml",
-    )
-    console.print(f"in that folder, after every change of the class {class_name(name)}:")
-    for command in commands:
-        console.print(f"    {escaped(command)}", highlight=False)

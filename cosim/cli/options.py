@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fmu_export.errors import shown
 
-from .errors import UserError
+from ..errors import UserError
 
-SCENARIOS = Path(__file__).parent / "scenarios"
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
+    from ..scenario import Scenario
+
+FAILED = 1
+"""Exit code of a run, a device or a compiler that failed."""
+
+OTHER_FMU = "this FMU is not the file that the log was made with (another GUID)"
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
 SCENARIO_HELP = f"TOML or SSP file, or a built-in name: {', '.join(sorted(f.stem for f in SCENARIOS.glob('*.toml')))}."
 
 FmusOption = Annotated[Path, typer.Option("--fmus", help="Folder with the exported FMUs.")]
@@ -25,6 +35,27 @@ SetOption = Annotated[
         "`controller.start.a_min=0.7`; may be repeated.",
     ),
 ]
+
+RunArgument = Annotated[Path, typer.Argument(help="Result of `hil` (CSV, with its JSON beside it).")]
+ControllerOption = Annotated[
+    Path | None, typer.Option(help="Controller FMU; none: the scenario's, in the folder of `--fmus`.")
+]
+
+
+def loaded(name: str, fmus: Path) -> tuple[Scenario, Path, Path]:
+    """Return (scenario, its folder, the folder of its FMUs): an SSP file has its own."""
+    from ..scenario import load_scenario
+    from ..ssp import SUFFIX
+
+    chosen, folder = load_scenario(name)
+    return chosen, folder, folder if Path(name).suffix == SUFFIX else fmus
+
+
+def loaded_design(path: Path) -> Design:
+    """Return the design that a file holds."""
+    from ihc_fmu.design import Design
+
+    return Design.load(path)
 
 
 def assignments(items: list[str] | None) -> list[tuple[str, Any]]:

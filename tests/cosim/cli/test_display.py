@@ -6,8 +6,8 @@ import re
 import pytest
 from rich.console import Console
 
-from cosim import display
-from cosim.display import change_text, estimate_text, print_claims, print_comparison, print_results, show_table
+from cosim.cli import display
+from cosim.cli.display import change_text, estimate_text, print_claims, print_comparison, print_results, show_table
 from cosim.draws import Estimate
 from cosim.experiments import Comparison, Draw
 from cosim.metrics import QUANTITIES, Metrics

@@ -1,0 +1,106 @@
+"""The command `run`."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from filing.ownership import check_replaceable, is_ours
+
+from ..errors import UserError
+from .display import console, escaped, print_metrics, progress, say_notes, warn_of_messages
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded
+
+if TYPE_CHECKING:
+    from ..results import Result
+
+
+def run(
+    scenario: Annotated[str, typer.Argument(help=SCENARIO_HELP)],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="CSV file to write; none: `results/NAME.csv`.")
+    ] = None,
+    fmus: FmusOption = Path("fmus"),
+    change: SetOption = None,
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            help="Loop: `native` (C) or `fmpy` (Python), to the same result; `auto`: native unless an FMU is Python."
+        ),
+    ] = None,
+    plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
+) -> None:
+    """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
+
+    A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
+    """
+    from ..metrics import can_draw, can_evaluate
+    from ..results import Interrupted, SimulationError
+    from ..scenario import build_system, remarks, run_scenario
+
+    chosen, folder, fmus = loaded(scenario, fmus)
+    changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
+    chosen = chosen.changed(changes)
+    path = output or Path("results") / f"{chosen.name}.csv"
+    if path.suffix != ".csv":
+        raise UserError(f"--output must name a .csv file, found {path}")
+    unfinished = path.with_suffix(".partial.csv")  # an earlier complete result stays
+    check_replaceable(
+        *(file.with_suffix(suffix) for file in (path, unfinished) for suffix in (".csv", ".json")), kind="result"
+    )
+    if plot:
+        check_replaceable(path.with_suffix(".png"))
+    say_notes(remarks(build_system(chosen, fmus, folder)))
+    with progress() as bar:
+        task = bar.add_task(chosen.name, total=None)
+        try:
+            result = run_scenario(
+                chosen,
+                fmus,
+                folder,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                target=path.parent,
+            )
+        except (SimulationError, Interrupted) as stopped:
+            if len(stopped.result.time):
+                partial = _save(stopped.result, unfinished)
+                count = len(stopped.result.time)
+                bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
+            raise
+        try:
+            _save(result, path)
+        except KeyboardInterrupt:
+            bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
+            raise
+    earlier = path.with_suffix(".png")
+    if not plot and earlier.is_file() and is_ours(earlier):
+        earlier.unlink()
+        console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
+    warn_of_messages(result)
+    console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
+    if plot and can_evaluate(result) and can_draw(result):
+        from ..plots import save_overview
+
+        picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
+        console.print(f"wrote {escaped(picture)}")
+    if can_evaluate(result):
+        print_metrics(result)
+
+
+def _save(result: Result, path: Path) -> Path:
+    """Write a result; where that fails, as on a full disk, write it to the temporary folder and raise with its place."""
+    import tempfile
+
+    try:
+        result.save(path)
+    except UserError as error:
+        rescued = Path(tempfile.gettempdir()) / f"qube-ihc-rescued-{secrets.token_hex(4)}" / path.name
+        try:
+            result.save(rescued)
+        except UserError:
+            raise error from None
+        raise UserError(f"{error}; the rows are in {rescued}") from None
+    return path
