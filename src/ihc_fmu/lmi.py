@@ -223,14 +223,20 @@ def search(problem: Problem, mu: float, a: float, limit: Limit, least: float = L
         there, s = walk(start, lambda s, first=first: (s * mu, first), limit)
         found = Search(there, s * mu, first, complete=s >= 1.0)
         if found.complete and first < a:
-            ratio = min(a, rate) / first
-            there, s = walk(there, lambda s, first=first, ratio=ratio: (mu, first * ratio**s), limit, least)
-            found = Search(there, mu, first * ratio**s, complete=s >= 1.0 and a <= rate)
+            found = faster(there, mu, (first, a), limit, least)
         if found.complete:
             return found
         if (found.mu, found.a) > (best.mu, best.a):
             best = found
     return best
+
+
+def faster(problem: Problem, mu: float, a: tuple[float, float], limit: Limit, least: float) -> Search:
+    """Return a P for (mu, a[1]), or how far one was found, from a problem in which P = I serves for (mu, a[0])."""
+    rate = decay(problem)
+    first, ratio = a[0], max(1.0, min(a[1], rate) / a[0])
+    there, s = walk(problem, lambda s: (mu, first * ratio**s), limit, least)
+    return Search(there, mu, first * ratio**s, complete=s >= 1.0 and a[1] <= rate)
 
 
 def decay(problem: Problem) -> float:

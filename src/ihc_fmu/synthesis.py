@@ -6,7 +6,7 @@ The solver's word is not taken: a `Design` proves itself from its numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -20,7 +20,7 @@ from .block_form import BlockForm
 from .design import QUIET, Design
 from .integral import check_degree, largest_mu
 from .largest_ball import FEWER_DIGITS, largest_ball
-from .lmi import InfeasibleError, Limit, Problem, decay, flatness, is_refuted, search
+from .lmi import MARGIN, InfeasibleError, Limit, Problem, decay, faster, flatness, is_refuted, search
 from .options import Options
 from .system import System
 
@@ -28,6 +28,8 @@ Array = np.ndarray
 
 SEARCH_TIME = 300.0
 """Longest time for one search [s]."""
+FINE = 1e-5
+"""Share of the way, on a logarithmic scale, to which the largest alpha of a design is found."""
 FASTER, RATES = 3.0, 20
 """Factor between the rates that a direct design tries from alpha on, and their number."""
 MUS = (1.0, 0.75, 0.5, 0.25)
@@ -44,7 +46,9 @@ Say = Callable[[str], object] | None
 
 
 @QUIET
-def inverse_design(system: System, options: Options | None = None, say: Say = None) -> Design:
+def inverse_design(
+    system: System, options: Options | None = None, say: Say = None, start: Problem | None = None
+) -> Design:
     """Return the IHC that equals the stabilizing LC u = K x of `system` on its unit sphere, eqs. (10) and (11).
 
     With X = P^-1 and A_cl = A + B K = A_0 + B (K - K_0): maximize log det X, the largest unit ball, subject to
@@ -52,10 +56,11 @@ def inverse_design(system: System, options: Options | None = None, say: Say = No
         A_cl X + X A_cl' + alpha (G_d X + X G_d') + disturbance terms <= 0,   G_d X + X G_d' >= 2 beta X,
         (K - K_0)_i X (K - K_0)_i' <= u_max_i^2   and/or   X_ii <= delta_max^2,
 
-    from a P that satisfies the inequalities, found by `search`. The units of states, inputs and time change nothing but by
-    rounding: P relative to itself by 1e-6, or 1e-16 over `Certificate.positive` where that is more. `say` is told how the
-    search goes. Raises UserError for a pair that is not controllable or a K that does not stabilize it, InfeasibleError
-    where no P is found for alpha, `numerical` where none is refuted either.
+    from a P that satisfies the inequalities: that of `start`, which a `Choice` has, or one found by `search`. The units of
+    states, inputs and time change nothing but by rounding: P relative to itself by 1e-6, or by 1e-16 over
+    `Certificate.positive` where that is more. `say` is told how the search goes. Raises UserError for a pair that is not
+    controllable or a K that does not stabilize it, InfeasibleError where no P is found for alpha, `numerical` where none is
+    refuted either.
     """
     options = options or Options()
     options.bounds(system.m)
@@ -63,6 +68,8 @@ def inverse_design(system: System, options: Options | None = None, say: Say = No
     problem, omega = _closed_loop(system, options.beta)
     a = options.alpha / omega
     what = f"alpha = {options.alpha:g} 1/s, mu = {options.mu:g}"
+    if start is not None and replace(start, beta=options.beta).margin(options.mu, a) > MARGIN:
+        return largest_ball(system, start, omega, options.alpha, options, what)
     found = search(problem, options.mu, a, Limit(SEARCH_TIME, say))
     if not found.complete:
         if is_refuted(found.problem, options.mu, a):
@@ -111,7 +118,8 @@ def _rate(system: System, options: Options, bounds: Array) -> float:
     first = next(i for i, value in enumerate(found) if value >= wanted)
     if first == 0:
         return options.alpha
-    found_rate: Any = brentq(lambda rate: np.log(max(roundness(rate), 1e-300) / wanted), *rates[first - 1 : first + 1])
+    low, high = rates[first - 1 : first + 1]
+    found_rate: Any = brentq(lambda rate: np.log(max(roundness(rate), 1e-300) / wanted), low, high)
     return float(found_rate)
 
 
@@ -208,6 +216,22 @@ def largest_alpha(
     It lies below the decay rate of the slowest pole, because every w_i is at least 1. `say` is told how the search goes.
     Raises InfeasibleError where no solution is found for any alpha.
     """
+    return _fastest(system, mu, tolerance, say, beta)[0]
+
+
+@QUIET
+def largest_alpha_of(design: Design, say: Say = None) -> float:
+    """Return `largest_alpha` for the gain and mu of a design [1/s]; its P is where the search begins."""
+    problem, omega = _closed_loop(design.system, 0.0)
+    problem = problem.to(problem.S.T @ design.P @ problem.S)
+    first = design.alpha / omega
+    if problem.margin(design.mu, first) <= MARGIN:
+        return largest_alpha(design.system, design.mu, say=say)
+    return faster(problem, design.mu, (first, np.inf), Limit(SEARCH_TIME, say), FINE).a * omega
+
+
+def _fastest(system: System, mu: float, tolerance: float, say: Say, beta: float) -> tuple[float, Problem]:
+    """Return `largest_alpha`, and the inequalities where P = I serves up to there."""
     _check_gain(system)
     problem, omega = _closed_loop(system, beta)
     found = search(problem, mu, np.inf, Limit(SEARCH_TIME, say), tolerance / 10)
@@ -220,15 +244,19 @@ def largest_alpha(
             else "no solution of the matrix inequalities was found"
         )
         raise InfeasibleError(f"{why} for any alpha down to {1e-5 * rate:.2g} 1/s", numerical=not refuted)
-    return found.a * omega
+    return found.a * omega, found.problem
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Options of a design, and why those that nobody gave are what they are: a sentence each."""
+    """Options of a design, and why those that nobody gave are what they are: a sentence each.
+
+    `start` is where P = I serves for them, if a search for the largest alpha came by: a design need not search again.
+    """
 
     options: Options
     reasons: tuple[str, ...]
+    start: Problem | None = None
 
 
 @QUIET
@@ -246,13 +274,13 @@ def chosen_options(
     largest one at that mu; u_max half of the room that the limits leave around the equilibrium, without limits 1 for each
     input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
     """
-    reasons = []
+    reasons, start = [], None
     most = largest_mu(system)
     if mu is not None and system.integral is not None:
         check_degree(mu)
     if alpha is None or mu is None:
         mus = tuple(m for m in MUS if m <= most) if mu is None else (mu,)
-        found, largest = _first_mu(system, mus, alpha, say)
+        found, largest, start = _first_mu(system, mus, alpha, say)
         if mu is None:
             why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
             reasons.append(f"mu = {found:g}: {'the largest for integral action' if found == most < 1.0 else why}")
@@ -263,20 +291,20 @@ def chosen_options(
     if u_max is None and rest.get("delta_max") is None:
         u_max, reason = _bounds_from_limits(system)
         reasons.append(reason)
-    return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons))
+    return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons), start)
 
 
-def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float]:
-    """Return the first mu for which alpha, or any, is feasible, and the largest alpha there."""
+def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float, Problem]:
+    """Return the first mu for which alpha, or any, is feasible, the largest alpha there, and where P = I serves up to it."""
     for mu in mus:
         try:
-            largest = largest_alpha(system, mu, ROUGH, say, Options.beta)
+            largest, start = _fastest(system, mu, ROUGH, say, Options.beta)
         except InfeasibleError:
             if mu == mus[-1]:
                 raise
             continue
         if alpha is None or alpha < largest or mu == mus[-1]:
-            return mu, largest
+            return mu, largest, start
     raise AssertionError
 
 

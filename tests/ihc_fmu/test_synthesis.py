@@ -10,7 +10,7 @@ from ihc_fmu.companion import chain_form, generator
 from ihc_fmu.design import Design
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.start_values import default_design
-from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha
+from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha, largest_alpha_of
 from ihc_fmu.system import System
 from tests.ihc_fmu.conftest import chain_of
 
@@ -281,6 +281,19 @@ def test_degree_is_lowered_for_an_alpha_that_the_highest_one_does_not_allow(pape
     """The largest alpha is 0.27 at mu = 1, 0.33 at 0.75, 0.44 at 0.5, 0.63 at 0.25."""
     assert chosen_options(system(*paper), alpha=0.4).options.mu == 0.5
     assert chosen_options(system(*paper), alpha=0.2).options.mu == 1.0
+
+
+def test_what_was_found_for_a_choice_and_a_design_is_used_again(paper):
+    """A design from the search of its choice is the same, and its own P leads to the same largest alpha as a new search."""
+    choice = chosen_options(system(*paper))
+    said, again = [], []
+    first = inverse_design(system(*paper), choice.options, said.append, choice.start)
+    second = inverse_design(system(*paper), choice.options, again.append)
+    assert (len(said), bool(again)) == (0, True)
+    np.testing.assert_allclose(first.P, second.P, rtol=1e-6)
+    assert largest_alpha_of(first) == pytest.approx(largest_alpha(system(*paper)), rel=1e-4)
+    other = Options(mu=1.0, alpha=0.26, u_max=1.5, beta=0.6)
+    assert inverse_design(system(*paper), other, start=choice.start).certificate.monotone > 1.2
 
 
 def test_what_is_given_stays(paper):

@@ -74,6 +74,14 @@ def test_a_process_of_its_own_is_the_same_program(tmp_path):
 # The chain
 
 
+def test_direct_design_tells_its_control(tmp_path):
+    said = accepted("design", "--method", "direct", "--alpha", "1", "--u-max", "10", cwd=tmp_path)
+    design = Design.load(tmp_path / "design.json")
+    most = float(np.sqrt((design.K @ np.linalg.solve(design.P, design.K.T)).item()))
+    assert f"on the unit ball |voltage| <= {most:.4g} V; any alpha has a solution" in " ".join(said.split())
+    assert "largest feasible" not in said
+
+
 def test_design_export_run_compare(tmp_path):
     said = accepted("design", "--mu", "0.5", "--alpha", "0.3", "--u-max", "3", "-o", "my design.json", cwd=tmp_path)
     assert re.search(r"largest feasible alpha for this gain and mu: 0\.43\d* 1/s", said)
