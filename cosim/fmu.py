@@ -28,6 +28,7 @@ from fmu_export.variables import did_you_mean
 
 from .archives import unpack
 from .errors import UserError
+from .python_wrapper import finalize_at_exit, keep_globals
 
 Value = float | int | bool | str
 
@@ -407,6 +408,7 @@ class Instance:
         try:
             self._fmu = idle.pop() if idle else self._loaded()
             self._fmu.instanceName = self.name
+            keep_globals(Path(self._folder))
             self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
         except Exception as error:
             raise FmuError(f"{self.name} ({self.path}): {error}{self.cause()}") from None
@@ -414,12 +416,14 @@ class Instance:
             os.chdir(where)  # FMPy leaves its own folder where loading fails
 
     def _loaded(self) -> Any:
-        return self._library(
+        fmu = self._library(
             guid=self.description.guid,
             unzipDirectory=self._folder,
             modelIdentifier=self.model_identifier,
             instanceName=self.name,
         )
+        finalize_at_exit(fmu.dll)
+        return fmu
 
     def _callbacks(self) -> Any:
         _instances[id(self)] = self

@@ -6,7 +6,7 @@ import csv
 import io
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -206,36 +206,57 @@ def load_table(path: Path, column: str, *, held: bool) -> Table:
 
 @lru_cache(maxsize=16)
 def _loaded(_place: Path, path: Path, column: str, held: bool, _time: int, _size: int) -> Table:
-    rows = csv.reader(io.StringIO(read_text(path, "signal"), newline=""))
+    def choose(names: Sequence[str]) -> Sequence[str]:
+        if "time" not in names or column not in names:
+            raise UserError(f"{path} must have the columns time and {column}, found {', '.join(names) or 'nothing'}")
+        return [column]
+
+    columns = read_columns(path, choose, "signal")
+    return Table(columns["time"], columns[column], held)
+
+
+def read_columns(
+    path: Path, choose: Callable[[Sequence[str]], Sequence[str]], kind: str
+) -> dict[str, tuple[float, ...]]:
+    """Return the column `time` of a table (CSV), which grows from row to row, and those that `choose` picks of its names.
+
+    `kind` is what the file is called where it cannot be read. Raises UserError for anything else, and what `choose`
+    raises, who looks for the `time` too.
+    """
+    rows = csv.reader(io.StringIO(read_text(path, kind), newline=""))
     try:
         names = [name.strip() for name in next(rows, [])]
-        if "time" not in names or column not in names or len(set(names)) < len(names):
-            raise UserError(f"{path} must have the columns time and {column}, found {', '.join(names) or 'nothing'}")
-        places = names.index("time"), names.index(column)
-        pairs = [_numbers(path, row, places, line) for line, row in enumerate(rows, 2) if row]
+        chosen = ("time", *choose(names))
+        twice = next((name for name in chosen if names.count(name) > 1), None)
+        if twice is not None:
+            raise UserError(f"{path} must have the column {twice} once, found {', '.join(names)}")
+        places = [names.index(name) for name in chosen]
+        lines = [_numbers(path, row, places, line) for line, row in enumerate(rows, 2) if row]
     except csv.Error as error:
         raise UserError(f"{path} is not a table: {error}") from None
-    if not pairs:
+    if not lines:
         raise UserError(f"{path} must have at least one row below its heading")
-    times, values = zip(*pairs, strict=True)
+    columns = dict(zip(chosen, zip(*lines, strict=True), strict=True))
+    times = columns["time"]
     late = next((k for k in range(1, len(times)) if not times[k] > times[k - 1]), None)
     if late is not None:
         raise UserError(
             f"{path}: the time must grow from row to row, found {times[late]:g} after {times[late - 1]:g} s"
         )
-    return Table(times, values, held)
+    return columns
 
 
-def _numbers(path: Path, row: Sequence[str], places: tuple[int, int], line: int) -> tuple[float, float]:
+def _numbers(path: Path, row: Sequence[str], places: Sequence[int], line: int) -> tuple[float, ...]:
     try:
-        time, value = (float(row[place]) for place in places)
+        values = tuple(float(row[place]) for place in places)
     except (ValueError, IndexError):
         raise UserError(
             f"{path}: line {line} must have a number in each column, found {', '.join(row)[:60]!r}"
         ) from None
-    if not (math.isfinite(time) and math.isfinite(value)):
-        raise UserError(f"{path}: line {line} must have finite numbers, found {time} and {value}")
-    return time, value
+    if not all(map(math.isfinite, values)):
+        found = " and ".join(f"{value}" for value in values)
+        raise UserError(f"{path}: line {line} must have finite numbers, found {found}")
+    return values
 
 
 def _all_whole(values: Sequence[float]) -> bool:

@@ -163,16 +163,24 @@ def overview(result: Recording) -> Figure:
     return figure
 
 
-def panels_of(result: Recording, names: Sequence[str]) -> Figure:
-    """Return one figure with a panel for each of the signals `names`; raise UserError for one that is not there."""
+def panels_of(results: Mapping[str, Recording], names: Sequence[str]) -> Figure:
+    """Return one figure with a panel for each of the signals `names`, in it a curve for each of `results`.
+
+    Raises UserError for a signal that is not there.
+    """
     figure = Figure(figsize=(9, 1.8 * max(len(names), 2)), layout="constrained")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
+    shades = dict.fromkeys(results, COLOURS["LC"]) if len(results) == 1 else colours(results)
     for axis, name in zip(axes, names, strict=True):
-        axis.plot(result.time, result[name], color=COLOURS["LC"], lw=1.0)
-        axis.set_ylabel(label(ControlSignal(signal=name, unit=result.units.get(name, NO_UNIT))))
+        for of, result in results.items():
+            axis.plot(result.time, result[name], color=shades[of], lw=1.0, label=literal(of))
+        unit = next(iter(results.values())).units.get(name, NO_UNIT)
+        axis.set_ylabel(label(ControlSignal(signal=name, unit=unit)))
         axis.margins(x=0)
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
+    if len(results) > 1:
+        axes[0].legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=len(results), frameon=False)
     figure.align_ylabels(axes)
     return figure
 

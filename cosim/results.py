@@ -68,7 +68,7 @@ class Result(Recording):
             raise UserError("a plot needs at least one row and one signal")
         if not names and can_evaluate(self) and can_draw(self):
             return overview(self)
-        return panels_of(self, names or tuple(self.signals))
+        return panels_of({"": self}, names or tuple(self.signals))
 
     def save(self, path: Path) -> None:
         """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.

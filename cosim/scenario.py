@@ -160,7 +160,7 @@ class Scenario(_Section):
         Entries of lists are named by their numbers from 0 on. Raises UserError for a name that does not exist or a value
         outside its rule.
         """
-        data = self.model_dump()
+        data = self.model_dump(mode="json")
         for path, value in changes.items():
             *parents, last = _parted(path)
             place: Any = data

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ..hil.settings import Settings
     from ..results import Result
     from ..scenario import Scenario
-    from ..structure import Component
+    from ..structure import Component, Signal
 
 
 LOWEST_RATE, HIGHEST_RATE = 100.0, 10_000.0
@@ -48,7 +49,10 @@ def hil(
         bool, typer.Option("--check", help="Test installation, controller, board, signs and timing instead of running.")
     ] = False,
     scenario: Annotated[
-        str, typer.Option(help=f"Controller's start values, and the plant of a simulated device. {SCENARIO_HELP}")
+        str,
+        typer.Option(
+            help=f"Controller's start values and signals, and the plant of a simulated device. {SCENARIO_HELP}"
+        ),
     ] = "device",
     change: SetOption = None,
     fmus: FmusOption = Path("fmus"),
@@ -100,6 +104,7 @@ def hil(
     check_device(chosen)
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
+    signals = system.signals
     say_notes(remarks(system))
     settings = Settings(
         rate=rate,
@@ -112,9 +117,10 @@ def hil(
     _check_options(device, lockstep=lockstep, faults=faults, stop_on_misses=settings.stop_on_misses)
     chosen_device = _device(device, plant, faults, lockstep=lockstep, watchdog=watchdog, identifier=identifier)
     if check:
-        _check(chosen_device, component, settings)
+        _check(chosen_device, component, settings, signals)
     else:
-        _run(chosen_device, component, settings, chosen, output, status)
+        about = {"scenario": chosen.model_dump(mode="json"), **_judged(component, signals)}
+        _run(chosen_device, component, settings, signals, about, output, status)
 
 
 BOARDS = ("qube", "qlabs")
@@ -152,12 +158,12 @@ def _device(
     )
 
 
-def _check(device: Device, component: Component, settings: Settings) -> None:
+def _check(device: Device, component: Component, settings: Settings, signals: Sequence[Signal]) -> None:
     from ..hil.diagnosis import diagnose
 
     good = True
     colours = {"ok": "green", "note": "yellow", "wrong": "bold red"}
-    for verdict, text in diagnose(device, component, settings):
+    for verdict, text in diagnose(device, component, settings, signals):
         console.print(f"[{colours[verdict]}]{verdict:5}[/]  {escaped(text)}", soft_wrap=True)
         good = good and verdict != "wrong"
     if not good:
@@ -165,7 +171,13 @@ def _check(device: Device, component: Component, settings: Settings) -> None:
 
 
 def _run(
-    device: Device, component: Component, settings: Settings, scenario: Scenario, output: Path, status: bool | None
+    device: Device,
+    component: Component,
+    settings: Settings,
+    signals: Sequence[Signal],
+    about: Mapping[str, Any],
+    output: Path,
+    status: bool | None,
 ) -> None:
     from ..hil.log import free_path, recover
     from ..hil.loop import Loop
@@ -182,8 +194,9 @@ def _run(
         component,
         settings,
         path,
-        {"scenario": scenario.model_dump(mode="json"), **_judged(component)},
+        about,
         say=lambda text: problems.print(f"[dim]{escaped(text)}[/]"),
+        signals=signals,
     )
     live = None
     if status or (status is None and sys.stderr.isatty()):
@@ -261,19 +274,30 @@ def _elsewhere(result: Result) -> str:
     return f" (a bare loop on another machine: {default:.0f}, with real-time scheduling {real_time:.0f})"
 
 
-def _judged(component: Component) -> dict[str, Any]:
+def _judged(component: Component, signals: Sequence[Signal]) -> dict[str, Any]:
     """Return the log's word on what it is judged by, where the controller is to hold the arm at another angle than 0."""
     from ..evaluation import ARM_SET_POINT, pendulum_evaluation
     from ..fmu import start_values_of
     from ..hil.replay import MEASURED
+    from ..wiring import CONTROLLER
 
-    arm = float({**start_values_of(Path(component.path)), **component.start}.get(ARM_SET_POINT, 0.0))
+    driven = (s.target for s in signals if s.target == f"{CONTROLLER}.{ARM_SET_POINT}")
+    start = {**start_values_of(Path(component.path)), **component.start}
+    arm = next(driven, None) or float(start.get(ARM_SET_POINT, 0.0))
     return {"evaluation": pendulum_evaluation(MEASURED, arm).model_dump(mode="json")} if arm else {}
 
 
 def check_device(scenario: Scenario) -> None:
     """Raise UserError for a scenario that is more, or less, than a controller and a plant in the device's place."""
-    if list(scenario.parts) != ["controller", "plant"] or scenario.wires is not None or scenario.signals:
+    from ..wiring import CONTROLLER
+
+    if list(scenario.parts) != ["controller", "plant"] or scenario.wires is not None:
         raise UserError(
-            f"a device is one plant with one controller; the scenario {scenario.name} has other components, wires or signals"
+            f"a device is one plant with one controller; the scenario {scenario.name} has other components or wires"
+        )
+    elsewhere = [s.input for s in scenario.signals if not s.input.startswith(f"{CONTROLLER}.")]
+    if elsewhere or (scenario.disturbance.sines and scenario.disturbance.gain):
+        found = f"a signal on {elsewhere[0]}" if elsewhere else "a disturbance of the plant"
+        raise UserError(
+            f"on a device signals can act on the controller's inputs only, and the scenario {scenario.name} has {found}"
         )

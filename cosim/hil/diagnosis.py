@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import UserError
 from ..fmu import FmuError
 from ..interrupts import second_ends
-from ..structure import Component
-from . import checks
+from ..structure import Component, Signal
+from . import checks, driven
 from .device import LED_IDLE, Device, DeviceError
 from .log import percentiles
 from .loop import READ_TIMEOUT, Controller, stop_signals
@@ -31,8 +31,13 @@ Finding = tuple[Verdict, str]
 """Whether all is well, well enough, or not, and what was found."""
 
 
-def diagnose(device: Device, component: Component, settings: Settings) -> Iterator[Finding]:
-    """Yield what is found, step by step; the device is stopped and closed at the end, and nothing follows a dead end."""
+def diagnose(
+    device: Device, component: Component, settings: Settings, signals: Sequence[Signal] = ()
+) -> Iterator[Finding]:
+    """Yield what is found, step by step; the device is stopped and closed at the end, and nothing follows a dead end.
+
+    `signals` are those of the run on the controller's inputs.
+    """
     if isinstance(device, QuanserDevice):
         try:
             sdk()
@@ -42,7 +47,7 @@ def diagnose(device: Device, component: Component, settings: Settings) -> Iterat
         yield "ok", "Quanser's package and library are there"
     try:
         with second_ends():
-            yield _controller(component, settings)
+            yield _controller(component, settings, signals)
     except (UserError, FmuError) as error:
         yield "wrong", str(error)
         return
@@ -61,15 +66,19 @@ def diagnose(device: Device, component: Component, settings: Settings) -> Iterat
                 yield "wrong", failure
 
 
-def _controller(component: Component, settings: Settings) -> Finding:
-    controller = Controller(component, settings.period)
+def _controller(component: Component, settings: Settings, signals: Sequence[Signal]) -> Finding:
+    controller = Controller(component, settings.period, driven.names_of([s.target for s in signals]))
+    samples = round(settings.duration * settings.rate)
+    values = driven.values_of(signals, settings.period, samples)
+    driven.check(values, controller.instance, settings.limits, settings.period)
+    controller.follow(values)
     controller.prepare()
     try:
         controller.begin(0.0, -np.pi)
         times = []
         for k in range(CONTROLLER_STEPS):
             before = time.perf_counter_ns()
-            controller.command(0.0, -np.pi + 1e-3 * (k % 7))
+            controller.command(0.0, -np.pi + 1e-3 * (k % 7), k % samples)
             times.append((time.perf_counter_ns() - before) * 1e-9)
     finally:
         controller.close()

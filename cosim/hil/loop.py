@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,14 +16,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import UserError
-from ..fmu import FmuError, Instance
+from ..fmu import RECORDED, FmuError, Instance
 from ..interrupts import second_ends
 from ..metrics import STABILIZING
 from ..native_loop import NativeLoop
 from ..results import Result, versions
 from ..signals import STOPPING
-from ..structure import Component
-from . import checks
+from ..structure import Component, Signal
+from . import checks, driven
 from .device import LED_BALANCE, LED_IDLE, LED_STOPPED, LED_SWING_UP, Device, DeviceError
 from .guards import STALL_VOLTAGE, Action, Guard
 from .log import Layout, RowLog, percentiles, rows_of, to_result
@@ -36,6 +37,9 @@ READ_TIMEOUT = 0.1
 
 MOST_CAUGHT_UP = 10
 """Missed samples that the controller is given afterwards, at most."""
+
+MEASURED = ("theta", "delta")
+"""The controller's inputs that are measured [rad]."""
 
 LEDS = {1: LED_IDLE, 2: LED_SWING_UP, STABILIZING: LED_BALANCE}
 """The device's light by the controller's mode."""
@@ -65,23 +69,30 @@ def stop_signals() -> Iterator[list[int]]:
 
 
 class Controller:
-    """The controller FMU with its buffers: what the loop calls, and nothing else in between."""
+    """The controller FMU with its buffers: what the loop calls, and nothing else in between.
 
-    def __init__(self, component: Component, period: float) -> None:
+    `inputs` are those that signals drive besides the measured ones; `follow` gives their values. Raises UserError for an
+    FMU, start values or inputs that do not fit.
+    """
+
+    def __init__(self, component: Component, period: float, inputs: Sequence[str] = ()) -> None:
         self.instance = instance = Instance("controller", Path(component.path))
         for name, causality, unit in (("theta", "input", "rad"), ("delta", "input", "rad"), ("voltage", "output", "V")):
             instance.require(name, causality, unit)
+        self.inputs = tuple(inputs)
+        self._check_inputs()
+        self._values: driven.Driven = {}
         self.start = instance.checked_start(component.start)
         sample_time = self.start.get("sample_time", period)
         if not math.isclose(float(sample_time), period, rel_tol=1e-9):
             raise UserError(f"controller.sample_time must be the loop's period, {period:g} s, found {sample_time:g} s")
-        outputs = instance.outputs()
+        recorded = [*instance.outputs(), *(instance.variables[name] for name in self.inputs)]
         if texts := instance.texts():
             instance.messages.append(f"warning: String outputs are not recorded: {', '.join(texts)}")
         self.layout = Layout(
-            tuple(v.name for v in outputs if v.type == "Real"),
-            tuple(v.name for v in outputs if v.type != "Real"),
-            {v.name: v.unit or "1" for v in outputs},
+            tuple(v.name for v in recorded if v.type == "Real"),
+            tuple(v.name for v in recorded if v.type != "Real"),
+            {v.name: v.unit or "1" for v in recorded},
         )
         self.period = period
         self._mode = self.layout.integers.index("mode") if "mode" in self.layout.integers else None
@@ -92,8 +103,26 @@ class Controller:
                 f"found {instance.variables['mode'].type}"
             )
 
+    def _check_inputs(self) -> None:
+        """Raise UserError for driven inputs that are none, are measured, or are named twice."""
+        for name in self.inputs:
+            variable = self.instance.variable(name)
+            if variable.causality != "input" or variable.type not in RECORDED:
+                raise UserError(
+                    f"a signal acts on an input that is a number or a Boolean, and controller.{name} is an "
+                    f"{variable.causality} of type {variable.type}"
+                )
+            if name in MEASURED or self.inputs.count(name) > 1:
+                raise UserError(f"the input controller.{name} must have one source, found another besides the signal")
+
+    def follow(self, values: driven.Driven) -> None:
+        """Give the driven inputs' values, one for each sample's number; `prepare` takes them."""
+        self._values = values
+
     def rehearse(self) -> None:
         """Do once all that a run calls, for a pendulum that hangs at rest, so that nothing of it fails with a motor on.
+
+        The driven inputs have their first values, then the smallest and the largest of each.
 
         Raises FmuError, and UserError for a voltage that no controller may command. An FMU that can be instantiated only
         once in a process is left alone.
@@ -106,25 +135,34 @@ class Controller:
         try:
             self.prepare()
             self.begin(0.0, -math.pi)
-            voltage = self.command(0.0, -math.pi)
+            for number in (0, *driven.notable(self._values)):
+                voltage = self.command(0.0, -math.pi, number)
+                if not -HARD_LIMIT <= voltage <= HARD_LIMIT:
+                    raise UserError(
+                        f"the controller commands {voltage} V at rest, beyond ±{HARD_LIMIT:g} V or not a number"
+                    )
             self.outputs()
         finally:
             self.close()
         self.instance.messages[:] = earlier
-        if not -HARD_LIMIT <= voltage <= HARD_LIMIT:
-            raise UserError(f"the controller commands {voltage} V at rest, beyond ±{HARD_LIMIT:g} V or not a number")
 
     def prepare(self) -> None:
         """Instantiate and initialize up to the first measurement."""
         self.instance.start(self.start, 0.0, None)
-        (self._inputs,) = self.instance.ports(("theta", "delta"), "Set")
-        (self._voltage,) = self.instance.ports(("voltage",), "Get")
-        self._outputs = self.instance.ports((*self.layout.reals, *self.layout.integers), "Get")
+        self._ports = ports = self.instance.ports((*MEASURED, *self.inputs), "Set")
+        self._angles = ports[0].values
+        slots = {name: (port.values, i) for port in ports for i, name in enumerate(port.names)}
+        self._drives = [(*slots[name], self._values[name]) for name in self.inputs]
+        voltage = self.instance.ports(("voltage",), "Get")
+        self._voltage = voltage[0].values
+        self._outputs = self.instance.ports([v.name for v in self.instance.outputs()], "Get")
+        slots |= {name: (port.values, i) for port in self._outputs for i, name in enumerate(port.names)}
+        self._recorded = _views([slots[name] for name in (*self.layout.reals, *self.layout.integers)])
         nothing = np.empty((0, 0))
         self._c_loop = NativeLoop(
             [self.instance],
-            [[self._inputs]],
-            [[self._voltage]],
+            [ports],
+            [voltage],
             [[]],
             [[]],
             ([], nothing),
@@ -135,36 +173,42 @@ class Controller:
 
     def begin(self, theta: float, delta: float) -> tuple[float, ...]:
         """Give the first measurement and leave initialization; return the outputs."""
-        self._inputs.values[0], self._inputs.values[1] = theta, delta
-        self.instance.transfer([self._inputs])
+        self._angles[0], self._angles[1] = theta, delta
+        for values, index, table in self._drives:
+            values[index] = table[0]
+        self.instance.transfer(self._ports)
         self.instance.run()
         return self.outputs()
 
-    def command(self, theta: float, delta: float) -> float:
-        """Run one sample; return its voltage [V]."""
-        values = self._inputs.values
-        values[0], values[1] = theta, delta
+    def command(self, theta: float, delta: float, number: int) -> float:
+        """Run a sample with the driven inputs' values of sample `number`; return its voltage [V]."""
+        angles = self._angles
+        angles[0], angles[1] = theta, delta
+        for values, index, table in self._drives:
+            values[index] = table[number]
         if self._step():
             failure = self._c_loop.failure()
             assert failure is not None
             self.instance.fail(failure[1], failure[2])
-        return self._voltage.values[0]
+        return self._voltage[0]
 
-    def catch_up(self, earlier: tuple[float, float], theta: float, delta: float, periods: int) -> int:
-        """Run the samples that were missed since the measurement `earlier`, `periods` ago, on the line to the new one.
+    def catch_up(self, earlier: tuple[float, float, int], theta: float, delta: float, periods: int) -> int:
+        """Run the samples that were missed since the one `earlier`, `periods` ago, on the line to the new measurement.
 
-        So the controller's clock and its filters stay right. Returns how many: all but the new one, at most MOST_CAUGHT_UP.
+        So the controller's clock and its filters stay right. The driven inputs have the values of the earlier sample, given
+        as (theta, delta, number). Returns how many: all but the new one, at most MOST_CAUGHT_UP.
         """
         missed = min(periods - 1, MOST_CAUGHT_UP)
+        from_theta, from_delta, number = earlier
         for k in range(1, missed + 1):
             share = k / (missed + 1)
-            self.command(earlier[0] + share * (theta - earlier[0]), earlier[1] + share * (delta - earlier[1]))
+            self.command(from_theta + share * (theta - from_theta), from_delta + share * (delta - from_delta), number)
         return missed
 
     def outputs(self) -> tuple[float, ...]:
-        """Return all outputs in the order of the layout."""
+        """Return all outputs, and the driven inputs as they are in force, in the order of the layout."""
         self.instance.transfer(self._outputs)
-        return tuple(value for port in self._outputs for value in port.values)
+        return tuple(value for view in self._recorded for value in view)
 
     def mode(self, outputs: tuple[float, ...]) -> int:
         """Return the mode among the outputs; 0 for a controller without one."""
@@ -179,6 +223,18 @@ class Controller:
         self.instance.close()
 
 
+def _views(slots: Sequence[tuple[ctypes.Array, int]]) -> list[ctypes.Array]:
+    """Return arrays over the slots of buffers in their order, as few as there can be: one for neighbours."""
+    begins = [k for k, (array, i) in enumerate(slots) if not k or slots[k - 1] != (array, i - 1)]
+    ends = [*begins[1:], len(slots)]
+    found = []
+    for begin, end in zip(begins, ends, strict=False):
+        array, first = slots[begin]
+        kind: Any = array._type_
+        found.append((kind * (end - begin)).from_buffer(array, first * ctypes.sizeof(kind)))
+    return found
+
+
 class Loop:
     """One run of a controller on a device."""
 
@@ -190,10 +246,14 @@ class Loop:
         path: Path,
         about: Mapping[str, Any] | None = None,
         say: Callable[[str], None] = lambda _text: None,
+        signals: Sequence[Signal] = (),
     ) -> None:
-        """Check the controller and make the log, `path` with the suffix .rows; `say` is told each stage."""
+        """Check the controller and make the log, `path` with the suffix .rows; `say` is told each stage.
+
+        `signals` act on inputs of the controller. Raises UserError for values of theirs that may not be.
+        """
         self.device, self.settings, self.say = device, settings, say
-        self.controller = Controller(component, settings.period)
+        self.controller = Controller(component, settings.period, driven.names_of([s.target for s in signals]))
         self.steps = round(settings.duration * settings.rate)
         self.about = {
             "versions": dict(versions()),
@@ -218,6 +278,13 @@ class Loop:
             **self.about.get("hil", {}),
         }
         self.log = RowLog(path.with_suffix(".rows"), self.controller.layout, self.steps + 1, self.about)
+        try:
+            values = driven.values_of(signals, settings.period, self.steps)
+            driven.check(values, self.controller.instance, settings.limits, settings.period)
+        except BaseException:
+            self.log.discard()
+            raise
+        self.controller.follow(values)
         self.guard = Guard(
             settings.limits,
             settings.period,
@@ -308,10 +375,10 @@ class Loop:
         hold, limit, stop = Action.HOLD, Action.LIMIT, Action.STOP
         sample = read(READ_TIMEOUT)
         woke = now()
-        last = sample.tick + self.steps
+        first, last = sample.tick, sample.tick + self.steps
         outputs = controller.begin(RESOLUTION * -sample.arm, RESOLUTION * (sample.pendulum - HALF_TURN))
         mode, u, applied, led = mode_of(outputs), 0.0, 0.0, LED_IDLE
-        stepped_at, earlier = sample.tick - 1, (0.0, 0.0)  # when the controller was stepped, and with what
+        earlier = 0.0, 0.0, -1  # what the controller was stepped with, and the sample's number
 
         def log(latency: int, step_time: int, steps: int) -> None:
             raw = sample.arm, sample.pendulum, sample.digital, sample.current, sample.tachometer
@@ -328,11 +395,11 @@ class Loop:
                 before = now()
                 steps = 0
                 if action is not hold:
-                    steps = 1
-                    if sample.tick - stepped_at > 1:
-                        steps += controller.catch_up(earlier, theta, delta, sample.tick - stepped_at)
-                    stepped_at, earlier = sample.tick, (theta, delta)
-                    u = command(theta, delta)
+                    number, steps = sample.tick - first, 1
+                    if number - earlier[2] > 1:
+                        steps += controller.catch_up(earlier, theta, delta, number - earlier[2])
+                    earlier = theta, delta, number
+                    u = command(theta, delta, number)
                     if not -HARD_LIMIT <= u <= HARD_LIMIT:
                         raise Stopped(f"the controller commands {u} V, beyond ±{HARD_LIMIT:g} V or not a number")
                     if action is limit:

@@ -15,14 +15,13 @@ from plant_fmu.parameters import ParameterSet, QubeParameters
 from ..errors import UserError
 from ..fmu import start_values_of
 from ..master import simulate
-from ..metrics import wrapped
 from ..parameter_files import chosen
 from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
-from ..structure import Component, System
+from ..structure import Component, Signal, System
 from .identify import Beginning, beginning
-from .replay import MEASURED
+from .replay import driven_inputs, driven_values
 from .scaling import RESOLUTION
 
 CHANCE = (
@@ -64,10 +63,10 @@ def resimulate(
     """Return the log from `begin` [s] on and its simulation with the plant's `parameters`.
 
     None: with what the run's scenario says, and what it does not say as the plant FMU was exported. `fmus` are the plant's
-    and the controller's; the controller has the log's start values. The first state, and where in its count the
-    pendulum's encoder was zeroed, are those that fit the log best with this plant, see `identify.beginning`; where the
-    arm's was zeroed is in its first angle, since nothing depends on that but the measurement. Raises UserError for a log
-    without start values, or too short.
+    and the controller's; the controller has the log's start values, and the log's values on inputs that signals drove. The
+    first state, and where in its count the pendulum's encoder was zeroed, are those that fit the log best with this plant,
+    see `identify.beginning`; where the arm's was zeroed is in its first angle, since nothing depends on that but the
+    measurement. Raises UserError for a log without start values, or too short.
     """
     about = provenance(result)
     start, step = about.start_values.get("controller"), about.step
@@ -90,12 +89,26 @@ def resimulate(
         "theta_encoder_offset": 0.5,
         "delta_encoder_offset": float(np.clip(0.5 + found.bias / RESOLUTION, 0.0, 1.0)),
     }
-    system = System((Component("controller", fmus[1], start), Component("plant", fmus[0], plant)), WIRES["encoders"])
+    components = Component("controller", fmus[1], start), Component("plant", fmus[0], plant)
+    signals = [_logged(measured, name, step) for name in driven_inputs(about)]
     duration = round(float(measured.time[-1]) / step) * step
-    simulated = simulate(
-        system, step, duration, metadata={"overlay": {"parameters": parameters, "bias": found.bias}}, progress=progress
-    )
+    metadata = {"overlay": {"parameters": parameters, "bias": found.bias}, **_judged(result)}
+    system = System(components, WIRES["encoders"], signals)
+    simulated = simulate(system, step, duration, metadata=metadata, progress=progress)
     return Overlay(measured, simulated, found)
+
+
+def _logged(measured: Result, name: str, step: float) -> Signal:
+    """Return the values that a driven input of the controller had, as a signal; they hold where rows are missing."""
+    numbers = np.rint(measured.time / step)
+    rows = np.searchsorted(numbers, np.arange(numbers[-1] + 1), side="right") - 1
+    values = driven_values(measured, name)[rows].tolist()
+    return Signal(f"controller.{name}", lambda time: values[round(time / step)], recorded=True)
+
+
+def _judged(result: Result) -> dict[str, Any]:
+    """Return what the result says that it is judged by, for the metadata of its simulation."""
+    return {name: about for name, about in result.metadata.items() if name == "evaluation"}
 
 
 LEAST_ROWS = 45
@@ -132,16 +145,3 @@ def alike(results: Mapping[str, Result]) -> dict[str, Result]:
 
 def _end(result: Result) -> float:
     return float(result.time[-1]) if len(result.time) else 0.0
-
-
-def differences(measured: Result, simulated: Result) -> dict[str, float]:
-    """Return the RMS difference of the measured angles [rad] and of the voltage [V] over the common rows."""
-    rows = np.searchsorted(simulated.time, measured.time - 1e-9)
-    rows = rows[rows < len(simulated.time)]
-    found = {}
-    for name in (*MEASURED, "controller.voltage"):
-        difference = simulated[name][rows] - measured[name][: len(rows)]
-        if name == "plant.delta_encoder":
-            difference = wrapped(difference)
-        found[name] = float(np.sqrt(np.mean(difference**2)))
-    return found

@@ -13,6 +13,7 @@ from ..interrupts import second_ends
 from ..provenance import Provenance, provenance
 from ..results import Result, SimulationError
 from ..structure import Component
+from .driven import names_of
 from .loop import Controller
 
 MEASURED = ("plant.theta_encoder", "plant.delta_encoder")
@@ -72,6 +73,8 @@ def is_own(result: Result, fmu: Path) -> bool:
 def replay(result: Result, fmu: Path) -> Replay:
     """Feed the measured angles of `result` to the controller `fmu` with the log's start values and compare all outputs.
 
+    Inputs that signals drove have the log's values again.
+
     The log is one of a device, or a simulation's with encoders, the order controller-first and every row. Raises
     UserError for a log that lacks what is needed, SimulationError where the FMU fails.
     """
@@ -82,11 +85,12 @@ def replay(result: Result, fmu: Path) -> Replay:
     if about.order != "controller-first" or about.every != 1:
         raise UserError("a replay needs every row of a run in the order controller-first")
     if not _got_angles_only(about):
-        raise UserError("a replay needs a run whose controller got the encoders' angles and nothing else")
+        raise UserError("a replay needs a run whose controller got the encoders' angles and signals, and nothing else")
     if len(result.time) < LEAST_ROWS:
         raise UserError(f"a replay needs at least {LEAST_ROWS} rows, the log has {len(result.time)}")
     theta, delta = (result[name] for name in MEASURED)
-    controller = Controller(Component("controller", fmu, start), about.step)
+    controller = Controller(Component("controller", fmu, start), about.step, driven_inputs(about))
+    controller.follow({name: driven_values(result, name).tolist() for name in controller.inputs})
     names = (*controller.layout.reals, *controller.layout.integers)
     logged = [result[f"controller.{name}"].tolist() for name in names]
     rows = len(result.time)
@@ -98,15 +102,15 @@ def replay(result: Result, fmu: Path) -> Replay:
     try:
         with second_ends():
             controller.prepare()
-            earlier = (float(theta[0]), float(delta[0])) if rows else (0.0, 0.0)
-            outputs = controller.begin(*earlier) if rows else ()
+            outputs = controller.begin(float(theta[0]), float(delta[0]))
+            earlier = 0.0, 0.0, 0
             for row in range(rows):
                 replayed[row] = outputs
                 if steps[row]:
-                    angles = float(theta[row]), float(delta[row])
-                    controller.catch_up(earlier, *angles, steps[row])
-                    controller.command(*angles)
-                    outputs, earlier = controller.outputs(), angles
+                    sample = float(theta[row]), float(delta[row]), row
+                    controller.catch_up(earlier, *sample[:2], steps[row])
+                    controller.command(*sample)
+                    outputs, earlier = controller.outputs(), sample
     except FmuError as error:
         done = Result(result.time[:row], {}, {}, result.metadata)
         time = float(result.time[row]) if rows else 0.0
@@ -123,12 +127,26 @@ def replay(result: Result, fmu: Path) -> Replay:
     return Replay(sum(map(bool, steps)), int(differing.size), first, is_own(result, fmu))
 
 
+def driven_inputs(about: Provenance) -> tuple[str, ...]:
+    """Return the names of the controller's inputs that signals drove."""
+    return names_of([signal.input for signal in about.scenario.signals])
+
+
+def driven_values(result: Result, name: str) -> np.ndarray:
+    """Return the values of a driven input of the controller from each row on; a row has that which was in force until it.
+
+    Raises UserError where they were not recorded.
+    """
+    column = result[f"controller.{name}"]
+    return np.append(column[1:], column[-1:])
+
+
 def _got_angles_only(about: Provenance) -> bool:
-    """Return whether the controller's inputs were the encoders' angles; all others kept their start values."""
+    """Return whether wires gave the controller the encoders' angles and nothing else."""
     angles = dict(zip(("controller.theta", "controller.delta"), MEASURED, strict=True))
     wires = about.wires if about.wires is not None else [(source, target) for target, source in angles.items()]
     fed = {target: source for source, target in wires if target.startswith("controller.")}
-    return fed == angles and not any(s.input.startswith("controller.") for s in about.scenario.signals)
+    return fed == angles
 
 
 def _bits(values: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ import pytest
 from cosim import master
 from cosim.errors import UserError
 from cosim.fmu import describe
+from cosim.hil.loop import Controller
 from cosim.hil.replay import controller_of, replay
 from cosim.master import simulate
 from cosim.results import Result, SimulationError
@@ -288,6 +289,28 @@ def test_a_foreign_controller_runs_with_its_own_outputs_whatever_they_are_called
     assert "controller.label" not in report.result.signals
     assert "String outputs" in report.result.metadata["messages"]["controller"][0]
     assert len(device.voltages) == 10
+
+
+def test_a_foreign_controllers_outputs_and_driven_inputs_are_logged_each_in_its_column(odd):
+    others = [("flag", "Boolean", "output", None), ("count", "Integer", "output", None)]
+    inputs = [("level", "Integer", "input", None), ("rate", "Real", "input", "Hz")]
+    component = Component("controller", odd(*ANGLES, *others, *inputs, VOLTAGE, MODE))
+    controller = Controller(component, 1e-3, ["level", "rate"])
+    controller.follow({"level": [7, 8], "rate": [0.5, 2.5]})
+    controller.prepare()
+    count, mode = (controller.instance.variables[name].valueReference for name in ("count", "mode"))
+    whole = {"flag": 0, "count": count, "mode": mode}
+    try:
+        rows = [controller.begin(0.0, 0.0)]
+        controller.command(0.0, 0.0, 1)
+        rows.append(controller.outputs())
+        first, second = (
+            dict(zip(controller.layout.reals + controller.layout.integers, row, strict=True)) for row in rows
+        )
+        assert first == {**whole, "voltage": 0.0, "rate": 0.5, "level": 7}
+        assert second == {**whole, "voltage": 0.001, "rate": 2.5, "level": 8}  # this FMU's real numbers are its time
+    finally:
+        controller.close()
 
 
 @pytest.mark.parametrize(

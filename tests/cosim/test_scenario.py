@@ -37,7 +37,17 @@ from plant_fmu.parameters import PARAMETER_SETS, QubeParameters
 
 PARAMETER_NUMBERS = {f.name for f in fields(QubeParameters)}
 
-BUILT_IN = ["device", "disturbed", "paper", "square_wave", "swing_up", "tilt", "tilt_ideal", "tilt_kalman"]
+BUILT_IN = [
+    "device",
+    "device_square_wave",
+    "disturbed",
+    "paper",
+    "square_wave",
+    "swing_up",
+    "tilt",
+    "tilt_ideal",
+    "tilt_kalman",
+]
 
 FULL = """
 description = "all of it"

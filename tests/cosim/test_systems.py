@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from cosim.evaluation import evaluation_in
 from cosim.experiments import Study, compare, laws_of
 from cosim.fmu import start_values_of
 from cosim.metrics import evaluate, quantities_of
+from cosim.overlay import compared, lay
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario, run_scenario
 from fmu_export.native_fmu import export_native_fmu
@@ -692,3 +694,98 @@ def test_a_set_point_moves_the_carts_and_a_disturbance_pushes_one(carts, tmp_pat
     again = run_scenario(packed.changed({"run.duration": 0.5}), inside, inside)
     plain = run_scenario(chosen.changed({"run.duration": 0.5}), folder, where)
     np.testing.assert_array_equal(again["plant.x1"], plain["plant.x1"])
+
+
+# Overlay
+
+
+def table_of(result, path, names, shift=0.0, extra=None):
+    """Write columns of a result as someone's table, with a clock of its own."""
+    columns = [result.time + shift, *(result[name] for name in names)]
+    names = ["time", *names, *([] if extra is None else [extra])]
+    rows = [[*row, *([] if extra is None else ["warm"])] for row in zip(*columns, strict=True)]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([names, *rows])
+
+
+def test_a_scenario_is_laid_over_a_table_of_whatever_system(units, scenario, tmp_path):
+    """A cart from elsewhere, measured at other times than the simulation's, beginning at 5 s of its clock."""
+    chosen, folder = scenario(CART_SCENARIO)
+    true = run_scenario(
+        chosen.changed({"run.step": 4e-3, "plant.start.x0[1]": 0.13, "run.duration": 2.0}), units, folder
+    )
+    names = ["controller.force", "plant.position"]
+    table_of(true, tmp_path / "bench.csv", names, 5.0, "note")
+    done = ended("overlay", "bench.csv", "--scenario", "mine.toml", "--begin", "5", "--fmus", units, cwd=tmp_path)
+    assert (done.returncode, done.stderr.split(": ", 1)[-1].strip()) == (
+        0,
+        "columns of bench.csv that no signal of the scenario has the name of: note",
+    )
+    assert files(tmp_path / "bench_overlay") == [
+        "controls.png",
+        "norm.png",
+        "signals.png",
+        "simulation.csv",
+        "simulation.json",
+    ]
+    simulation = Result.load(tmp_path / "bench_overlay" / "simulation.csv")
+    assert simulation.time[-1] == 2.0
+    expected = np.interp(true.time, simulation.time, simulation["plant.position"]) - true["plant.position"]
+    assert f"RMS difference of plant.position: {np.sqrt(np.mean(expected**2)):.4g} m\n" in done.stdout
+    assert re.search(r"^RMS difference of controller\.force: \S+ N$", done.stdout, re.MULTILINE)
+    assert not re.search(r"\barm\b|pendulum|\bV\b", done.stdout)
+    same = lay(
+        tmp_path / "bench.csv", chosen.changed({"plant.start.x0[1]": 0.13, "run.step": 4e-3}), units, folder, 5.0
+    )
+    assert all(value < 1e-12 for value in compared(same).values())  # what the right plant leaves: the clock's rounding
+
+
+def test_a_result_is_made_again_with_its_own_scenario(units, scenario, tmp_path):
+    chosen, folder = scenario(CART_SCENARIO)
+    result = run_scenario(chosen.changed({"run.duration": 1.0}), units, folder)
+    result.metadata["fmus"]["plant"]["guid"] = "{earlier}"
+    result.save(tmp_path / "run.csv")
+    done = ended("overlay", "run.csv", "--fmus", units, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.strip() == "note: cart.fmu is not the file that the run was made with (another GUID)"
+    assert "RMS difference of plant.speed: 0 m/s\n" in done.stdout
+    del result.metadata["scenario"]
+    result.save(tmp_path / "run.csv")
+    assert "does not say with which scenario it was made" in sentence(ended("overlay", "run.csv", cwd=tmp_path))
+
+
+def test_columns_that_nothing_is_judged_by_are_drawn_and_compared(units, scenario, tmp_path):
+    chosen, folder = scenario(CART_SCENARIO)
+    table_of(run_scenario(chosen, units, folder), tmp_path / "bench.csv", ["controller.force"])
+    laid = lay(tmp_path / "bench.csv", chosen, units, folder)
+    assert compared(laid) == {"controller.force": 0.0}
+    assert laid.seen.metadata["evaluation"]["errors"] == []
+    done = ended("overlay", "bench.csv", "--scenario", "mine.toml", "--fmus", units, cwd=tmp_path)
+    assert files(tmp_path / "bench_overlay") == ["signals.png", "simulation.csv", "simulation.json"]
+    assert "RMS difference of controller.force: 0 N\n" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "options", "problem"),
+    [
+        ("t,plant.speed\n0,1\n", (), "bench.csv must have a column time, found t, plant.speed"),
+        (
+            "time,speed\n0,1\n",
+            (),
+            "must have columns named as the scenario's signals, .*plant.position.*; found time, speed",
+        ),
+        ("time,plant.speed\n0,1\n", (), "bench.csv must have 2 rows from 0 s on, found 1"),
+        ("time,plant.speed\n0,1\n1,2\n", ("--begin", "3"), "bench.csv must have 2 rows from 3 s on, found 0"),
+        ("time,plant.speed,plant.speed\n0,1,2\n", (), "bench.csv must have the column plant.speed once"),
+        ("time,plant.speed\n0,1\n1,x\n", (), "line 3 must have a number in each column"),
+        ("time,plant.speed\n0,1\n1,2\n", ("--parameters", "ident"), "--parameters is for logs of the pendulum"),
+        (None, (), "measured file bench.csv does not exist"),
+    ],
+)
+def test_what_cannot_be_overlaid_is_one_sentence(units, scenario, tmp_path, content, options, problem):
+    scenario(CART_SCENARIO)
+    if content is not None:
+        (tmp_path / "bench.csv").write_text(content, encoding="utf-8")
+    done = ended("overlay", "bench.csv", "--scenario", "mine.toml", "--fmus", units, *options, cwd=tmp_path)
+    assert re.search(problem, sentence(done))
+    assert files(tmp_path) == ["bench.csv", "mine.toml"][content is None :]

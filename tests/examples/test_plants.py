@@ -12,8 +12,10 @@ import pytest
 import sympy as sp
 from fmpy.validation import validate_fmu
 
+from cosim import structure
 from cosim.fmu import start_values_of
 from cosim.linearize import linear_model
+from cosim.master import simulate
 from cosim.scenario import load_scenario, run_scenario
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.estimation import estimator
@@ -249,10 +251,10 @@ def test_the_fmu_is_valid_has_units_and_steps_as_the_class_does(name, plant_of, 
     for quantity, (_, unit, _) in (plant.states | plant.inputs | plant.parameters).items():
         assert units[quantity] == unit
     start = {f"{state}_0": value for state, value in zip(plant.states, TILTED[name], strict=True)}
-    result = fmpy.simulate_fmu(str(path), stop_time=0.02, output_interval=0.01, step_size=0.01, start_values=start)
+    result = simulate(structure.System([structure.Component("plant", path, start)]), 0.01, 0.02)
     x, held = TILTED[name], [quantity[0] for quantity in plant.inputs.values()]
-    for row in result:
-        assert [row[state] for state in plant.states] == pytest.approx(x, abs=1e-13)
+    for row in zip(*(result[f"plant.{state}"] for state in plant.states), strict=True):
+        assert row == pytest.approx(x, abs=1e-13)
         for _ in range(10):
             x = plant._stepped(x, held, 1e-3)
 

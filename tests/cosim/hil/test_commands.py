@@ -19,6 +19,7 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.hil.log import LiveLog
+from cosim.hil.replay import replay
 from cosim.hil.simulated import HOLD
 from cosim.results import Result
 from tests.cosim.command import ended, files, finished, sentence, started
@@ -118,12 +119,16 @@ def test_earlier_run_stays(tmp_path, hil, run):
     assert second.tolist() == first[:201].tolist()
 
 
-def test_run_on_the_stand_in(tmp_path, process, on_stand_in):
+def test_run_on_the_stand_in(tmp_path, fmus, process, on_stand_in):
     record = on_stand_in()
-    done = process("--device", "qube", "--duration", "0.5")
+    square = ("--scenario", "device_square_wave", "--set", "signals.0.start=0.2")
+    done = process("--device", "qube", "--duration", "0.5", *square)
     assert done.returncode == 0, done.stderr
     assert "while stopping" not in done.stdout
-    assert len(Result.load(tmp_path / "out" / "run.csv").time) == 501
+    result = Result.load(tmp_path / "out" / "run.csv")
+    assert result["controller.theta_setpoint"].tolist() == [0.0] * 201 + [0.3] * 300
+    replayed = replay(result, fmus / "IhcController.fmu")
+    assert (replayed.first, replayed.samples) == (None, 500)
     events = record()
     assert max(abs(event["values"][0]) for event in events if event["what"] == "AO0") > 0.1
     last = {event["what"]: event["values"] for event in events}
@@ -405,6 +410,50 @@ def test_arm_held_elsewhere_is_judged_there_and_replayed(tmp_path, fmus, hil):
     assert abs(np.mean(Result.load(path)["plant.theta_encoder"][-1000:]) - 0.25) < 0.05
     done = ended("replay", path, "--fmus", fmus, cwd=tmp_path)
     assert done.stdout.startswith("exact: 7000 samples replayed")
+
+
+def test_the_arm_follows_a_square_wave_on_a_device(tmp_path, fmus, hil):
+    faster = ("signals.0.start=2", "signals.0.period=3")
+    settings = (part for change in faster for part in ("--set", change))
+    done = hil("--lockstep", "--duration", "5", "--scenario", "device_square_wave", *settings)
+    assert done.returncode == 0, done.stderr
+    path = tmp_path / "out" / "run.csv"
+    arm, log = about(path)["evaluation"]["errors"][0], Result.load(path)
+    assert (arm["signal"], arm["set_point"]) == ("plant.theta_encoder", "controller.theta_setpoint")
+    rows = np.flatnonzero(np.diff(log["controller.theta_setpoint"]))
+    assert (rows.tolist(), log["controller.theta_setpoint"][[2000, 2001, 3501]].tolist()) == (
+        [2000, 3500],
+        [0.0, 0.3, -0.3],
+    )
+    assert abs(log["plant.theta_encoder"][3500] - 0.3) < 0.1
+    done = ended("replay", path, "--fmus", fmus, cwd=tmp_path)
+    assert done.stdout.startswith("exact: 5000 samples replayed")
+    done = ended("overlay", path, "--fmus", fmus, "--begin", "1.9", "-o", "over", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    again = Result.load(tmp_path / "over" / "simulation.csv")
+    assert again["controller.theta_setpoint"].tolist() == log["controller.theta_setpoint"][1900:].tolist()
+    assert again.metadata["evaluation"] == log.metadata["evaluation"]
+    assert abs(again["plant.theta_encoder"][1600] - log["plant.theta_encoder"][3500]) < 0.03
+
+
+@pytest.mark.parametrize(
+    "command", [("hil", "--lockstep"), ("hil", "--device", "qube"), ("device", "--once")], ids=" ".join
+)
+@pytest.mark.parametrize(
+    ("entry", "found"),
+    [
+        (
+            '[[signals]]\nkind = "step"\ninput = "plant.pendulum_torque"\nvalue = 0.001',
+            "a signal on plant.pendulum_torque",
+        ),
+        ("[disturbance]\nsines = [{amplitude = 0.1, frequency = 3.0}]", "a disturbance of the plant"),
+    ],
+    ids=["signal", "disturbance"],
+)
+def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, found):
+    (tmp_path / "pushed.toml").write_text(entry, encoding="utf-8")
+    said = sentence(ended(*command, "--scenario", "pushed.toml", "--fmus", fmus, cwd=tmp_path))
+    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {found}"
 
 
 def test_replay_finds_one_digit(tmp_path, fmus, run):

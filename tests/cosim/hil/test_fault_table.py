@@ -222,9 +222,9 @@ def fails_at(monkeypatch, call, action):
     """Replace the controller's command at its n-th call of the run, whose rehearsal comes before."""
     command, count, prepare = Controller.command, [0], Controller.prepare
 
-    def replaced(self, theta, delta):
+    def replaced(self, theta, delta, number):
         count[0] += 1
-        return action() if count[0] == call else command(self, theta, delta)
+        return action() if count[0] == call else command(self, theta, delta, number)
 
     def prepared(self):
         prepare(self)
@@ -431,7 +431,7 @@ def test_arm_beyond_90_degrees_is_a_warning(bench, run):
 def test_stall_limits_the_voltage(bench, run, monkeypatch):
     sign = [1.0]
 
-    def command(self, theta, delta):
+    def command(self, theta, delta, number):
         sign[0] = -sign[0]
         return 8.0 * sign[0]
 

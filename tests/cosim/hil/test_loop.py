@@ -16,7 +16,7 @@ from cosim.hil.loop import MOST_CAUGHT_UP, Controller, Loop, stop_signals, timin
 from cosim.hil.replay import replay
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, SimulatedDevice
-from cosim.scenario import run_scenario
+from cosim.scenario import build_system, run_scenario
 from tests.cosim.hil.rig import (
     Between,
     at_rest,
@@ -30,6 +30,7 @@ from tests.cosim.hil.rig import (
     settings_of,
 )
 
+SQUARE = {"kind": "square", "input": "controller.theta_setpoint", "amplitude": 0.2, "period": 0.5}
 SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 
@@ -56,27 +57,73 @@ def about(report):
         (1.0, 5e-4, {"run__seed": 7}),
         (1.5, 1e-3, {"controller__start__velocity_source": "kalman"}),
         (1.5, 1e-3, {"run__seed": None, "plant__parameters": "hcs"}),
+        (3.0, 2e-3, {"signals": [{**SQUARE, "start": 2.2}]}),
     ],
-    ids=["all", "500 Hz", "2 kHz", "kalman", "hcs"],
+    ids=["all", "500 Hz", "2 kHz", "kalman", "hcs", "square wave"],
 )
 def test_in_lockstep_a_run_is_the_simulation_to_the_last_bit(fmus, tmp_path, duration, step, changes):
     scenario, folder = scenario_of(duration, step, **changes)
     simulation = run_scenario(scenario, fmus, folder)
-    controller, _ = parts(fmus, duration, step, **changes)
+    system = build_system(scenario, fmus, folder)
     device = lockstep(fmus, duration=duration, step=step, **changes)
-    loop = Loop(device, controller, settings_of(duration, 1.0 / step), tmp_path / "run")
+    settings = settings_of(duration, 1.0 / step)
+    loop = Loop(device, system.components[0], settings, tmp_path / "run", signals=system.signals)
     report = loop.run()
     loop.log.discard()
     assert (report.stop, report.failures) == ("complete", ())
     assert report.result.time.tobytes() == simulation.time.tobytes()
     common = [name for name in simulation.signals if name in report.result.signals]
     assert {"controller.voltage", "controller.mode", "plant.theta_encoder", "plant.delta_encoder"} <= set(common)
-    assert len(common) == 12
+    driven = {"controller.theta_setpoint"} & simulation.signals.keys()
+    assert len(common) == 12 + len(driven)
+    assert driven <= set(common)
     for name in common:
         np.testing.assert_array_equal(report.result[name], simulation[name], err_msg=name)
         assert report.result.units[name] == simulation.units[name]
     if duration > 6.0:
         assert set(np.unique(report.result["controller.mode"])) == {1, 2, 3}
+    for name in driven:
+        assert set(np.unique(report.result[name])) == {-0.2, 0.0, 0.2}
+
+
+def test_the_rehearsal_has_the_signals_extremes_before_the_device_is_opened(fmus, tmp_path):
+    device, rehearsed = Between(lockstep(fmus)), []
+    pulse = {"kind": "pulse", "input": SQUARE["input"], "value": 0.2, "time": 0.05, "width": 0.01}
+    scenario, folder = scenario_of(0.1, signals=[pulse])
+    system = build_system(scenario, fmus, folder)
+    loop = Loop(device, system.components[0], settings_of(0.1), tmp_path / "run", signals=system.signals)
+    command = loop.controller.command
+
+    def noted(theta, delta, number):
+        rehearsed.append((theta, delta, number, list(device.calls)))
+        return command(theta, delta, number)
+
+    loop.controller.command = noted
+    assert loop.run().stop == "complete"
+    loop.log.discard()
+    assert rehearsed[:3] == [(0.0, -math.pi, number, []) for number in (0, 0, 50)]
+    assert all(calls for *_, calls in rehearsed[3:])
+
+
+@pytest.mark.parametrize(
+    ("section", "problem"),
+    [
+        ({"amplitude": 1.6}, r"theta_setpoint must stay within ±90°.*, found 92° at 0 s"),
+        ({"amplitude": 1e308, "mean": 1e308}, r"theta_setpoint must be finite, found inf at 0 s"),
+        ({"input": "controller.theta"}, r"controller\.theta must have one source"),
+        ({"input": "controller.voltage"}, r"controller\.voltage is an output of type Real"),
+        ({"input": "controller.theta_setpiont"}, r"no variable named 'theta_setpiont'"),
+    ],
+    ids=["beyond the arm's bounds", "infinite", "measured", "an output", "unknown"],
+)
+def test_a_signal_that_may_not_be_is_refused_before_the_device_is_touched(fmus, tmp_path, section, problem):
+    device = Between(lockstep(fmus))
+    scenario, folder = scenario_of(0.5, signals=[{**SQUARE, **section}])
+    system = build_system(scenario, fmus, folder)
+    with pytest.raises(UserError, match=problem) as caught:
+        Loop(device, system.components[0], settings_of(0.5), tmp_path / "run", signals=system.signals)
+    one_sentence(caught.value)
+    assert (device.calls, list(tmp_path.glob("*.rows"))) == ([], [])
 
 
 def test_a_result_says_what_it_was(fmus, tmp_path):
@@ -243,7 +290,7 @@ def test_one_dropped_sample_holds_the_voltage_and_is_no_end(fmus, tmp_path):
 def test_a_stalled_motor_gets_at_most_5_V(fmus, tmp_path, u):
     device = Between(lockstep(fmus, "stall@0.01=1:0.01"))
     loop = loop_of(device, fmus, tmp_path, 0.03)
-    loop.controller.command = lambda theta, delta: u
+    loop.controller.command = lambda theta, delta, number: u
     report = loop.run()
     loop.log.discard()
     limited = math.copysign(min(abs(u), 5.0), u)
@@ -340,7 +387,11 @@ def test_a_voltage_that_no_controller_may_command_ends_the_run(fmus, tmp_path, v
     device = lockstep(fmus)
     loop = loop_of(device, fmus, tmp_path, 0.4)
     command = loop.controller.command
-    loop.controller.command = lambda theta, delta: voltage if device.board.sample.tick == 50 else command(theta, delta)
+
+    def mad(theta, delta, number):
+        return voltage if device.board.sample.tick == 50 else command(theta, delta, number)
+
+    loop.controller.command = mad
     report = loop.run()
     loop.log.discard()
     assert report.stop == "fault"
@@ -353,7 +404,11 @@ def test_a_controller_that_gives_up_ends_the_run(fmus, tmp_path):
     device = lockstep(fmus)
     loop = loop_of(device, fmus, tmp_path, 0.4)
     command = loop.controller.command
-    loop.controller.command = lambda theta, delta: command(math.nan if device.board.sample.tick == 50 else theta, delta)
+
+    def blind(theta, delta, number):
+        return command(math.nan if device.board.sample.tick == 50 else theta, delta, number)
+
+    loop.controller.command = blind
     report = loop.run()
     loop.log.discard()
     assert report.stop == "fault"
@@ -551,8 +606,8 @@ def test_missed_samples_are_given_to_the_controller_afterwards(fmus, tmp_path, l
 def test_missed_samples_lie_on_the_line_between_two_measurements(fmus):
     controller = Controller(parts(fmus)[0], 1e-3)
     given = []
-    controller.command = lambda theta, delta: given.append((theta, delta)) or 0.0
-    assert controller.catch_up((0.0, -3.0), 0.4, -2.6, 4) == 3
-    np.testing.assert_allclose(given, [(0.1, -2.9), (0.2, -2.8), (0.3, -2.7)], rtol=1e-15)
-    assert controller.catch_up((0.0, 0.0), 1.0, 1.0, 1) == 0
-    assert controller.catch_up((0.0, 0.0), 1.0, 1.0, 1000) == MOST_CAUGHT_UP
+    controller.command = lambda theta, delta, number: given.append((theta, delta, number)) or 0.0
+    assert controller.catch_up((0.0, -3.0, 7), 0.4, -2.6, 4) == 3
+    np.testing.assert_allclose(given, [(0.1, -2.9, 7), (0.2, -2.8, 7), (0.3, -2.7, 7)], rtol=1e-15)
+    assert controller.catch_up((0.0, 0.0, 0), 1.0, 1.0, 1) == 0
+    assert controller.catch_up((0.0, 0.0, 0), 1.0, 1.0, 1000) == MOST_CAUGHT_UP

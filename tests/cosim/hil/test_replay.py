@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
+from cosim.hil.loop import Loop
 from cosim.hil.replay import replay
 from cosim.results import Result
-from cosim.scenario import run_scenario
-from tests.cosim.hil.rig import lockstep, one_sentence, run, scenario_of
+from cosim.scenario import build_system, run_scenario
+from tests.cosim.hil.rig import lockstep, one_sentence, run, scenario_of, settings_of
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +73,27 @@ def test_a_simulations_result_from_its_file_is_replayed_exactly(fmus, fmu, tmp_p
     assert found.same_fmu
 
 
-def test_a_run_with_a_signal_on_the_controller_is_no_log_of_angles_alone(fmus, fmu):
-    scenario, folder = scenario_of(0.1)
-    square = {"kind": "square", "input": "controller.theta_setpoint", "amplitude": 0.1, "period": 0.02}
-    result = run_scenario(scenario.changed({"signals": [square]}), fmus, folder)
-    with pytest.raises(UserError, match="the encoders' angles and nothing else"):
-        replay(result, fmu)
+@pytest.mark.parametrize("script", [None, "", "arm-jump@0.2=500,pendulum-jump@0.3=-900,late@0.35=3"])
+def test_a_run_with_a_signal_on_the_controller_is_replayed_with_it(fmus, fmu, tmp_path, script):
+    """Of a simulation (None), and of a device that loses samples while the signal moves."""
+    sines = {"kind": "sines", "input": "controller.theta_setpoint", "sines": [{"amplitude": 0.3, "frequency": 40.0}]}
+    scenario, folder = scenario_of(0.4, signals=[sines])
+    if script is None:
+        result = run_scenario(scenario, fmus, folder)
+    else:
+        system, about = build_system(scenario, fmus, folder), {"scenario": scenario.model_dump(mode="json")}
+        device = lockstep(fmus, script)
+        loop = Loop(device, system.components[0], settings_of(0.4), tmp_path / "run", about, signals=system.signals)
+        result = loop.run().result
+        loop.log.discard()
+    found = replay(result, fmu)
+    assert (found.first, found.samples) == (None, 395 if script else 400)
+    moved = replay(with_signal(result, "controller.theta_setpoint", 100, 0.0), fmu)
+    assert moved.first is not None
+    assert moved.first.time == result.time[100]
+    less = changed(result, signals={n: s for n, s in result.signals.items() if n != "controller.theta_setpoint"})
+    with pytest.raises(UserError, match=r"no signal 'controller\.theta_setpoint'"):
+        replay(less, fmu)
 
 
 @pytest.mark.parametrize("row", [1, 500, 1000])
