@@ -19,13 +19,16 @@ from fmu_export.variables import did_you_mean
 from .errors import UserError
 from .structure import Signal, Wire
 from .typed import Finite, Positive, checked
+from .unit_definitions import NO_UNIT, unit_in, unit_of
 from .wiring import CONTROLLER, SET_POINT, Variables
 
 if TYPE_CHECKING:
     from .recording import Recording
 
 TOLERANCE = 0.02
-"""|e| within which a run counts as settled, in its unit; of the pendulum [rad]."""
+"""|e| within which a run of the pendulum counts as settled [rad]."""
+SHARE = 0.02
+"""The same of any other plant, relative to the largest |e|, where nothing else is said."""
 
 ACTING = "stabilizing"
 """The item of the controller's `mode` in which the law acts."""
@@ -34,8 +37,6 @@ SWING_UP = "swing_up"
 
 TRUE = "_true"
 """How the names of a LinearPlant's states end that are also measured: they have the set-point of what is measured."""
-
-NO_UNIT = "1"
 
 
 class EvaluateSection(BaseModel):
@@ -56,10 +57,15 @@ class EvaluateSection(BaseModel):
         "none: errors of one unit are added, those of different units stand side by side",
     )
     tolerance: Positive | None = Field(
-        None, description=f"|e| within which a run counts as settled, in its unit, 1 with scales; none: {TOLERANCE:g}"
+        None,
+        description="|e| within which a run counts as settled, in its unit, 1 with scales; none: "
+        f"{100 * SHARE:g} % of the largest |e| in the run as the scenario has it, of the pendulum {TOLERANCE:g} rad",
+    )
+    tolerances: tuple[Positive, ...] | None = Field(
+        None, description="a tolerance for each |e| in its place, where errors stand side by side"
     )
 
-    @field_validator("errors", "scales")
+    @field_validator("errors", "scales", "tolerances")
     @classmethod
     def _some(cls, value: tuple[Any, ...] | None) -> tuple[Any, ...] | None:
         if value == ():
@@ -126,13 +132,17 @@ class ModeSignal(_Part, frozen=True):
 
 
 class Evaluation(_Part, frozen=True):
-    """What a run is judged by. `kind`: the pendulum has names of its own for its metrics."""
+    """What a run is judged by. `kind`: the pendulum has names of its own for its metrics.
+
+    `tolerance` is that of each group of errors, `tolerances` one for each; None both: see `metrics.with_tolerances`.
+    """
 
     kind: Literal["pendulum", "general"] = "general"
     errors: tuple[ErrorSignal, ...] = ()
     controls: tuple[ControlSignal, ...] = ()
     scales: tuple[Positive, ...] | None = None
-    tolerance: Positive = TOLERANCE
+    tolerance: Positive | None = TOLERANCE
+    tolerances: tuple[Positive, ...] | None = None
     mode: ModeSignal | None = None
     norm: StrictStr | None = None
 
@@ -140,7 +150,15 @@ class Evaluation(_Part, frozen=True):
     def _a_scale_each(self) -> Self:
         if self.scales is not None and len(self.scales) != len(self.errors):
             raise ValueError(f"must have a scale for each of {len(self.errors)} errors, found {len(self.scales)}")
+        groups = len(self.error_groups)
+        if self.tolerances is not None and len(self.tolerances) != groups:
+            raise ValueError(f"must have a tolerance for each of {groups} |e|, found {len(self.tolerances)}")
         return self
+
+    @property
+    def settled(self) -> tuple[float | None, ...]:
+        """|e| within which a run counts as settled, for each group of errors; None: not known before a run."""
+        return self.tolerances or (self.tolerance,) * len(self.error_groups)
 
     @property
     def signals(self) -> list[str]:
@@ -244,7 +262,8 @@ def evaluation_of(
             "errors": [{**find.error(name), "label": labels[name]} for name in errors],
             "controls": [{"signal": c, "unit": find.unit(c, "controls"), "label": labels[c]} for c in controls],
             "scales": section.scales,
-            "tolerance": section.tolerance or TOLERANCE,
+            "tolerance": section.tolerance or (TOLERANCE if angles and section.tolerances is None else None),
+            "tolerances": section.tolerances,
             "mode": find.mode(),
             "norm": find.norm(),
         },
@@ -298,7 +317,7 @@ class _Found:
             raise UserError(f"evaluate.{entry} takes outputs, and inputs with a signal; {name} is an {found.causality}")
         if found.type == "String":
             raise UserError(f"evaluate.{entry} takes numbers; {name} is a String")
-        return found.unit or NO_UNIT
+        return unit_in(name, self.variables, self.wires)
 
     def error(self, name: str) -> dict[str, Any]:
         """Return an error's description: as the controller is given it, less its set-point."""
@@ -308,7 +327,7 @@ class _Found:
             return about
         variable = wire.target.partition(".")[2]
         if wire.converts:
-            seen = self.variables[CONTROLLER][variable].unit or NO_UNIT
+            seen = unit_of(self.variables[CONTROLLER][variable])
             about |= {"factor": wire.factor, "offset": wire.offset, "unit": seen}
         return about | self._set_point(variable)
 

@@ -26,7 +26,7 @@ from .master import Coupling
 from .metrics import WINDOW, Metrics, Quantity, evaluate, is_pendulum, kept_upright, measure_of, missing_signals
 from .names import is_plain
 from .results import Result
-from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario
+from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario, with_tolerances
 from .wiring import CONTROLLER
 
 LAWS = ("LC", "SMC", "IHC")
@@ -329,7 +329,14 @@ def compare(
     for study in studies:  # says what cannot work before anything runs
         for law in laws:
             check_outputs(study.at(law, None), fmus, study.folder)
-    studies = [replace(study, chance=chance_of(plant_values(study.scenario, fmus, study.folder))) for study in studies]
+    studies = [
+        replace(
+            study,
+            scenario=with_tolerances(study.scenario, fmus, study.folder),
+            chance=chance_of(plant_values(study.scenario, fmus, study.folder)),
+        )
+        for study in studies
+    ]
     jobs = [
         Job((s, law, number), study.at(law, number).changed({"record.every": 1}), study.folder)
         for s, study in enumerate(studies)

@@ -30,8 +30,6 @@ class Smc(StrEnum):
     linear_poles = "linear-poles"
 
 
-PENDULUM = "rotary_pendulum"
-"""Name of the systems whose controller is the pendulum's."""
 EXPORTED = ("QubeServo2.fmu", "IhcController.fmu", "QubeWithController.ssp")
 """The files that an export writes."""
 

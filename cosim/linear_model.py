@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,6 +13,13 @@ from ihc_fmu.system import Quantity, System
 from .errors import UserError
 
 Array = np.ndarray
+
+USUAL = 1e-3
+"""Sample time [s] where the plant asks for no other."""
+PER_TIME, PER_GROWTH = 0.02, 0.1
+"""Sample time relative to the time of the plant's fastest pole, and to that in which the plant grows e-fold."""
+ROUNDED = 1e-3
+"""Poles below this part of the norm of A may be 0: those of four integrators are known to the fourth root of rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,8 +49,11 @@ class LinearModel:
     method: str
     notes: tuple[str, ...]
 
-    def system(self, name: str | None = None, sample_time: float = 1e-3) -> System:
-        """Return the model as a System without a gain; raise UserError where an output depends on an input directly."""
+    def system(self, name: str | None = None, sample_time: float | None = None) -> System:
+        """Return the model as a System without a gain; `sample_time` [s], none: by `sample_time_for`.
+
+        Raises UserError where an output depends on an input directly.
+        """
         for i, j in np.argwhere(self.D != 0.0):
             raise UserError(
                 f"the output {self.outputs[i].name} depends on {self.inputs[j].name} directly (D = {self.D[i, j]:.4g}), "
@@ -59,11 +70,36 @@ class LinearModel:
             outputs=() if measures_state else self.outputs,
             lower=self.lower,
             upper=self.upper,
-            sample_time=sample_time,
+            sample_time=sample_time_for(self.A)[0] if sample_time is None else sample_time,
             x_eq=self.x_eq,
             u_eq=self.u_eq,
             y_eq=self.y_eq,
         )
+
+
+def sample_time_for(A: Array) -> tuple[float, str]:
+    """Return a controller's sample time [s] for a plant x' = A x, 1, 2 or 5 times a power of 10, and why it is that.
+
+    PER_TIME of the time 1/|p| of the plant's fastest pole p, but not below USUAL: what is so fast decays by itself, unless
+    it grows; then PER_GROWTH of the time in which it does. USUAL too where the poles are 0 but for rounding.
+    """
+    poles = np.linalg.eigvals(A)
+    fastest, growth = float(np.abs(poles).max()), float(poles.real.max())
+    if fastest <= ROUNDED * float(np.linalg.norm(A, 2)):
+        return USUAL, "no pole of the plant says what it needs"
+    wanted = PER_TIME / fastest
+    if wanted >= USUAL:
+        return _round(wanted), f"{PER_TIME:g} of the time of the plant's fastest pole, {fastest:.3g} 1/s"
+    if growth > PER_GROWTH / USUAL:
+        return _round(PER_GROWTH / growth), f"{PER_GROWTH:g} of the time in which the plant grows, at {growth:.3g} 1/s"
+    return USUAL, f"the plant's fastest pole, {fastest:.3g} 1/s, is left to itself"
+
+
+def _round(time: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of 10 that does not exceed `time`."""
+    power = math.floor(math.log10(time) + 1e-9)
+    digit = max(d for d in (1, 2, 5) if d * 10.0**power <= time * (1.0 + 1e-9))
+    return float(f"{digit}e{power}")
 
 
 def finite_model(model: LinearModel) -> LinearModel:

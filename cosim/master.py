@@ -25,7 +25,7 @@ from .native_loop import NativeLoop, needs_python
 from .results import Interrupted, Result, SimulationError, versions
 from .room import check_rows
 from .structure import System, Wire
-from .unit_definitions import scale_of, scale_text
+from .unit_definitions import NO_UNIT, declared_unit, scale_of, scale_text, unit_in, unit_of
 
 Order = Literal["controller-first", "parallel"]
 ORDERS: tuple[str, ...] = get_args(Order)
@@ -64,6 +64,7 @@ class Coupling:
         self.instances = {c.name: Instance(c.name, Path(c.path)) for c in system.components}
         self.start = {c.name: self.instances[c.name].checked_start(c.start) for c in system.components}
         self.wires = [(self._end(w.source, "output"), self._end(w.target, "input"), w) for w in system.wires]
+        self._plain_wires = tuple(system.wires)
         self.signals = [(self._end(s.target, "input"), s) for s in system.signals]
         for source, target, wire in self.wires:
             self._check_wire(source, target, wire)
@@ -98,9 +99,8 @@ class Coupling:
         return list(names)
 
     def unit(self, name: str) -> str:
-        """Return the unit of `instance.variable`; '1' where it has none."""
-        instance, variable = _split(name)
-        return self.instances[instance].variables[variable].unit or "1"
+        """Return the unit of `instance.variable`, see `unit_in`."""
+        return unit_in(name, {owner: found.variables for owner, found in self.instances.items()}, self._plain_wires)
 
     def _end(self, name: str, causality: str) -> tuple[str, str]:
         instance, variable = _split(name)
@@ -123,15 +123,16 @@ class Coupling:
             if a.type != "Real" or not (math.isfinite(wire.factor) and math.isfinite(wire.offset)):
                 raise UserError(f"{text} may convert real numbers by finite ones, found {a.type}, {_conversion(wire)}")
             return
-        if (a.unit or "1") == (b.unit or "1"):
+        units = declared_unit(a), declared_unit(b)
+        if (units[0] or NO_UNIT) == (units[1] or NO_UNIT) or unit_of(a) == unit_of(b):
             return
-        if a.unit and b.unit:
-            units = f"{a.unit} and {b.unit}"
-            raise UserError(
-                f"{text} must join equal units, found {units}{self._hint(source[0], target[0], a.unit, b.unit)}"
-            )
-        (owner, name), unit = (target, a.unit) if a.unit else (source, b.unit)
-        self.instances[owner].messages.append(f"warning: {name} declares no unit and is taken to be in {unit}")
+        if units[0] and units[1]:
+            hint = self._hint(source[0], target[0], units[0], units[1])
+            raise UserError(f"{text} must join equal units, found {units[0]} and {units[1]}{hint}")
+        (owner, name), variable, unit = (target, b, units[0]) if units[0] else (source, a, units[1])
+        described = unit_of(variable)
+        but = "" if described == NO_UNIT else f", although its description says {described},"
+        self.instances[owner].messages.append(f"warning: {name} declares no unit{but} and is taken to be in {unit}")
 
     def _hint(self, source: str, target: str, from_unit: str, to_unit: str) -> str:
         """Return how the wire would convert, where both FMUs define their units by the same quantity."""

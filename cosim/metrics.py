@@ -17,6 +17,7 @@ from .errors import UserError
 from .evaluation import (
     ACTING,
     NO_UNIT,
+    SHARE,
     SWING_UP,
     TOLERANCE,
     ErrorSignal,
@@ -31,6 +32,8 @@ Array = np.ndarray
 STABILIZING = 3
 """Value of the output `mode` of the pendulum's controller while the stabilizing law acts."""
 
+LEAST = 1e-300
+"""Tolerance of an |e| that stays 0."""
 WINDOW = 3.0
 """The steady state is looked at over the last seconds of a run [s]."""
 
@@ -139,7 +142,8 @@ def squared(unit: str) -> str:
 def quantities_of(evaluation: Evaluation) -> dict[str, Quantity]:
     """Return every metric of a system by its name in files, in the order of tables."""
     about, words = evaluation, _WORDS[evaluation.kind]
-    errors = [_error_quantities(about, words, suffix, group) for suffix, group in about.error_groups.items()]
+    groups = zip(about.error_groups.items(), about.settled, strict=True)
+    errors = [_error_quantities(about, words, suffix, group, within) for (suffix, group), within in groups]
     controls = [_control_quantities(about, words, suffix, group) for suffix, group in about.control_groups.items()]
     found = [q for some in (*errors, *controls) for q in some]
     if about.mode is not None and about.mode.value(SWING_UP) is not None:
@@ -150,12 +154,14 @@ def quantities_of(evaluation: Evaluation) -> dict[str, Quantity]:
     return {q.name: q for q in found}
 
 
-def _error_quantities(about: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]) -> list[Quantity]:
+def _error_quantities(
+    about: Evaluation, words: _Words, suffix: str, group: tuple[int, ...], tolerance: float | None
+) -> list[Quantity]:
     unit = about.error_unit(group)
     shown = "" if unit == NO_UNIT else unit
     e = f"|{words.norm}|" if not suffix else f"|{words.norm} {about.errors[group[0]].name}|"
     of = f" {e}" if suffix else ""
-    within = f"{about.tolerance:g} {shown}".rstrip()
+    within = f"{100 * SHARE:g} % of its largest" if tolerance is None else f"{tolerance:g} {shown}".rstrip()
     return [
         Quantity(
             f"settling_time{suffix}",
@@ -183,7 +189,7 @@ def _error_quantities(about: Evaluation, words: _Words, suffix: str, group: tupl
             group,
             over_draws="rms",
             of_window=True,
-            zero=ZERO * about.tolerance,
+            zero=0.0 if tolerance is None else ZERO * tolerance,
         ),
         Quantity(
             f"steady_trend{suffix}",
@@ -315,6 +321,16 @@ def can_evaluate(result: Recording) -> bool:
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
+def at_rest(result: Recording) -> bool:
+    """Return whether no error and no control changes in a run, and each error is 0 but for rounding; needs a judged one."""
+    about = evaluation_in(result)
+    if not can_evaluate(result):
+        return False
+    signals = [result[s.signal] for s in (*about.errors, *about.controls)]
+    errors = [(error(result, e), given(result, e)) for e in about.errors]
+    return all(np.ptp(s) == 0.0 for s in signals) and all(np.all(np.abs(e) <= 1e-12 * np.abs(y)) for e, y in errors)
+
+
 def can_draw(result: Recording) -> bool:
     """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
     about = evaluation_in(result)
@@ -413,16 +429,28 @@ def evaluate(result: Recording, tolerance: float | None = None, steady: float = 
         angle_norm(result)  # says which pairs of angles would do
     if missing:
         raise UserError(f"the result has no signal {missing[0]!r}; it has {', '.join(result.signals)}")
-    judge = _Judge(result, about, about.tolerance if tolerance is None else tolerance, steady)
+    about = with_tolerances(result, about)
+    judge = _Judge(result, about, tolerance, steady)
     quantities = quantities_of(about)
     return Metrics({name: judge.number(q) for name, q in quantities.items()}, quantities)
+
+
+def with_tolerances(result: Recording, about: Evaluation) -> Evaluation:
+    """Return what a result is judged by with tolerances: SHARE of each group's largest |e| in it, where there are none."""
+    if None not in about.settled:
+        return about
+    norms = [error_norm(result, about, group) for group in about.error_groups.values()]
+    largest = [float(np.max(e, where=np.isfinite(e), initial=0.0)) for e in norms]
+    return about.model_copy(update={"tolerances": tuple(max(float(f"{SHARE * e:.2g}"), LEAST) for e in largest)})
 
 
 class _Judge:
     """A result with its errors' norms and controls at hand."""
 
-    def __init__(self, result: Recording, about: Evaluation, tolerance: float, steady: float) -> None:
-        self.time, self.about, self.tolerance, self.steady = result.time, about, tolerance, steady
+    def __init__(self, result: Recording, about: Evaluation, tolerance: float | None, steady: float) -> None:
+        self.time, self.steady = result.time, steady
+        self.own = dict(zip(about.error_groups.values(), map(float, about.settled), strict=True))  # type: ignore[arg-type]
+        self.settled = self.own if tolerance is None else dict.fromkeys(self.own, tolerance)
         self.late = self.time >= self.time[-1] - steady
         self.norms = {group: error_norm(result, about, group) for group in about.error_groups.values()}
         self.controls = [np.asarray(result[control.signal]) for control in about.controls]
@@ -444,12 +472,12 @@ class _Judge:
 
     def _of_errors(self, q: Quantity, e: Array) -> float:
         if q.role == "settling":
-            return settling_time(self.time, e, self.tolerance)
+            return settling_time(self.time, e, self.settled[q.group])
         if q.role == "integral":
             return float(np.trapezoid(e**2, self.time))
         if q.role == "rms":
             return float(np.sqrt(np.mean(e[self.late] ** 2)))
-        return trend(self.time, e, self.steady, ZERO * self.about.tolerance)
+        return trend(self.time, e, self.steady, ZERO * self.own[q.group])
 
     def _of_controls(self, q: Quantity) -> float:
         some = [self.controls[k] for k in q.group]

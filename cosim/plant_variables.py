@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from ihc_fmu.system import Quantity
 
 from .errors import UserError
 from .fmu import Instance, Value
+from .unit_definitions import unit_of
 
 MOST_VARIABLES = 256
 """States, inputs or outputs of a model, at most."""
@@ -113,15 +113,6 @@ def quantities(variables: Sequence[ScalarVariable]) -> tuple[Quantity, ...]:
 def _attribute(variable: ScalarVariable, name: str) -> Any:
     own = getattr(variable, name, None)
     return own if own is not None else getattr(variable.declaredType, name, None)
-
-
-def unit_of(variable: ScalarVariable) -> str:
-    """Return the declared unit, else the one in brackets at the end of the description, as PythonFMU has no units."""
-    declared = _attribute(variable, "unit")
-    if declared is not None:
-        return str(declared).strip() or "1"
-    match = re.search(r"\[([^\[\]]{1,40})\]\s*$", variable.description or "")
-    return match[1].strip() if match else "1"
 
 
 def nominal_of(variable: ScalarVariable) -> float:

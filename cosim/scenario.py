@@ -22,11 +22,12 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files, pendulum, ssp, wiring
 from .errors import UserError
-from .evaluation import ARM_SET_POINT, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
+from .evaluation import ARM_SET_POINT, TRUE, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
 from .master import Engine, Order, step_count
 from .names import PlainName
 from .pendulum import WIRES, StartValue
+from .plant_variables import START
 from .results import Result
 from .structure import Component, Signal, System, Wire
 from .typed import Positive, checked
@@ -494,13 +495,58 @@ def _check_model(system: System) -> None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")
 
 
-def remarks(system: System) -> list[str]:
-    """Return what is to be known of a system's controller on its plant, although they fit, see `model_match`."""
+def remarks(system: System, scenario: Scenario) -> list[str]:
+    """Return what is to be known of a scenario's system before it runs, a sentence each.
+
+    Of its controller on its plant, although they fit, see `model_match`; of start values that no certificate covers.
+    """
+    from . import certified  # noqa: PLC0415
     from .model_match import judged_pair  # noqa: PLC0415
     from .model_match import remarks as found  # noqa: PLC0415
 
     pair = judged_pair(system)
-    return [] if pair is None else found(*pair)
+    said = [] if pair is None else found(*pair)
+    for component in system.components:
+        if component.name == CONTROLLER:
+            said += certified.remarks(_own_values(component.path), scenario.controller.start)
+    return said
+
+
+def with_tolerances(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Scenario:
+    """Return the scenario with the tolerances of settling that it does not name: those of a run of it as it stands.
+
+    So runs that are compared are held against the same ones. Raises as `run_scenario`.
+    """
+    from .metrics import with_tolerances as judged_by  # noqa: PLC0415
+
+    judged = evaluation(scenario, fmus, folder)
+    if judged is None or None not in judged.settled:
+        return scenario
+    found = judged_by(run_scenario(scenario, fmus, folder), judged).settled
+    return scenario.changed({"evaluate.tolerances": found})
+
+
+def rest_remarks(result: Result, system: System) -> list[str]:
+    """Return in a sentence that nothing moved in a run of `system`, and how something would; nothing where it did.
+
+    Nothing moves where no judged signal changes and none is beside its set-point, but for rounding.
+    """
+    from .metrics import at_rest  # noqa: PLC0415
+
+    if not at_rest(result):
+        return []
+    plants = [component for component in system.components if component.name == PLANT]
+    outputs = {name.partition(".")[2] for name in result.signals}
+    starts = [
+        f"{PLANT}.start.{name}"
+        for plant in plants
+        for name in _own_values(plant.path)
+        if name.endswith(START) and {name.removesuffix(START), name.removesuffix(START) + TRUE} & outputs
+    ]
+    example = f", as with --set {starts[0]}=..." if starts else ""
+    return [
+        f"nothing moved: all was at rest where it began; change a start value{example}, or add a signal or a disturbance"
+    ]
 
 
 def run_scenario(

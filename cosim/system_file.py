@@ -16,7 +16,7 @@ from fmu_export.reading import parse_toml, read_text
 from ihc_fmu.system import System, from_dict
 
 from .errors import UserError
-from .linear_model import LinearModel
+from .linear_model import LinearModel, sample_time_for
 
 LINE = "# The model: linearize replaces what stands below this line and leaves what stands above as it is."
 """Parts a file in two."""
@@ -55,15 +55,21 @@ def _hints(system: System) -> str:
     ones = {"states": [1.0] * system.n, "inputs": [1.0] * system.m, "outputs": [0.0] * system.p}
     limits = [[float(low), float(high)] for low, high in zip(system.lower, system.upper, strict=True)]
     known = np.isfinite(limits).any()
+    others = (
+        [] if system.measures_state else ["# observer = {}  # a homogeneous observer in place of the Kalman filter"]
+    )
     return "\n".join(
         (
             f"# {WRITTEN}",
             f'name = "{system.name}"',
-            f"sample_time = {system.sample_time!r}  # of the controller [s]",
+            f"sample_time = {system.sample_time!r}  # of the controller [s]: {sample_time_for(system.A)[1]}",
             f"{'' if known else '# '}limits = {limits if known else ones['inputs']}  # of {_listed(system.inputs)}",
             f"# lqr = {{ Q = {ones['states']}, R = {ones['inputs']} }}  # weights of {_listed(system.states)}; or K = [...]",
             f"# resolutions = {ones['outputs']}  # steps of counting sensors of {_listed(system.outputs)}; 0: none",
             f"# deviations = {ones['outputs']}  # standard deviations of their noise; 0: none",
+            f'# set_points = ["{system.outputs[0].name}"]  # outputs with a reference',
+            '# integral = "direct"  # integral action, against constant disturbances; or K_i of a PI controller',
+            *others,
             "",
         )
     )

@@ -36,7 +36,7 @@ def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
     if problem["type"] == "missing":
         return f"{_dotted(place)} is required"
     if problem["type"] == "value_error":
-        return f"{_dotted(place)} {problem.get('ctx', {}).get('error')}"
+        return f"{_dotted(place)} {problem.get('ctx', {}).get('error')}".lstrip()
     if place and place[-1] in _UNION:
         place, rule = place[:-1], "must be a number, true, false or a name"
     elif not place or problem["type"].startswith(("model", "dict")):

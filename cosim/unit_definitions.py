@@ -1,13 +1,51 @@
-"""What an FMU's UnitDefinitions say of a unit: SI value = factor value + offset, in powers of the base units."""
+"""Units of variables, and what an FMU's UnitDefinitions say of one: SI value = factor value + offset, in base units."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+if TYPE_CHECKING:
+    from .structure import Wire
+
+NO_UNIT = "1"
 
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+
+
+def declared_unit(variable: ScalarVariable) -> str | None:
+    """Return the unit that a variable or its type declares; None where neither does."""
+    unit = variable.unit if variable.unit is not None else getattr(variable.declaredType, "unit", None)
+    return None if unit is None else str(unit).strip() or NO_UNIT
+
+
+def unit_of(variable: ScalarVariable) -> str:
+    """Return the declared unit, else the one in brackets at the end of the description: many FMUs of PythonFMU have none."""
+    declared = declared_unit(variable)
+    if declared is not None:
+        return declared
+    match = re.search(r"\[([^\[\]]{1,40})\]\s*$", variable.description or "")
+    return match[1].strip() if match else NO_UNIT
+
+
+def unit_in(name: str, variables: Mapping[str, Mapping[str, ScalarVariable]], wires: Iterable[Wire]) -> str:
+    """Return the unit of `component.variable` in a system, "1" where nothing tells.
+
+    It is the declared one, else that of the other end of a wire that does not convert, in which it is taken to be, else the
+    one that its description has, as `unit_of`.
+    """
+    ends = [name]
+    ends += [
+        w.target if w.source == name else w.source for w in wires if name in (w.source, w.target) and not w.converts
+    ]
+    split = [end.partition(".") for end in ends]
+    found = [variables[component][name] for component, _, name in split if name in variables.get(component, {})]
+    return next(filter(None, (*map(declared_unit, found), *map(unit_of, found[:1]))))
 
 
 @dataclass(frozen=True, slots=True)

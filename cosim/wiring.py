@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -22,12 +23,14 @@ SET_POINT = "_setpoint"
 
 Variables = Mapping[str, ScalarVariable]
 
-_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_SHORT = re.compile(rf"(?P<source>.+?) -> (?P<target>.+?)(?: \* (?P<factor>{_NUMBER}))?", re.DOTALL)
+_SHORT = re.compile(r"\s*(?P<source>.+?)\s*->\s*(?P<target>.+?)\s*(?:\*\s*(?P<factor>\S+)\s*)?", re.DOTALL)
 
 
 class WireSection(BaseModel):
-    """A wire: target = factor source + offset. In short: "component.output -> component.input * factor"."""
+    """A wire: target = factor source + offset. In short: "component.output -> component.input * factor".
+
+    A name with -> or * in it needs the long form.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -45,12 +48,22 @@ class WireSection(BaseModel):
         match = _SHORT.fullmatch(value)
         if match is None:
             raise ValueError(f"must be 'component.output -> component.input', found {value[:80]!r}")
-        found = {"source": match["source"].strip(), "target": match["target"].strip()}
-        return found if match["factor"] is None else {**found, "factor": float(match["factor"])}
+        found = {"source": match["source"], "target": match["target"]}
+        return found if match["factor"] is None else {**found, "factor": _factor(match["factor"])}
 
     def wire(self) -> Wire:
         """Return it as the master takes it."""
         return Wire(self.source, self.target, self.factor, self.offset)
+
+
+def _factor(text: str) -> float:
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not math.isfinite(factor):
+        raise ValueError(f"must have a finite number behind *, found {text[:80]!r}")
+    return factor
 
 
 def inputs(variables: Variables) -> list[str]:

@@ -28,6 +28,8 @@ LAWS = ("LC", "IHC")
 DRAWS = 16
 STEPS = {"rad": 2.0 * np.pi / 4096, "m": 1e-4}
 """Steps of the sensors of the linear plants, by the unit of what they count."""
+SETTLED = 0.02
+"""|e| that counts as settled [m or rad]."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Example:
         """Its scenario, judged by the positions together, a metre as much as a radian."""
         found, _ = load_scenario(str(EXAMPLES / self.name / f"{self.name}_run.toml"))
         errors = [f"plant.{name}" for name in self.positions]
-        return found.changed({"evaluate.errors": errors, "evaluate.scales": [1.0] * len(errors)})
+        judged = {"evaluate.errors": errors, "evaluate.scales": [1.0] * len(errors), "evaluate.tolerance": SETTLED}
+        return found.changed(judged)
 
     def design(self) -> Design:
         """Return the design that the command `design` makes without options."""

@@ -74,7 +74,8 @@ def compare(
         if not names or not set(names) <= set(known) or len(set(names)) < len(names):
             raise UserError(f"--laws must be different ones of {', '.join(known)}, found {laws or ', '.join(names)!r}")
     check_names(names)
-    say_notes(remarks(build_system(chosen, fmus, folder)))
+    compared = [chosen] if values is None else [chosen.changed({entry: value}) for value in values.values()]
+    say_notes(dict.fromkeys(note for one in compared for note in remarks(build_system(one, fmus, folder), one)))
     check_folder(output / chosen.name, names)
     run_and_write([Study(chosen, folder, draws, entry, values)], fmus, output, names, workers)
 
@@ -110,6 +111,7 @@ def run_and_write(studies: list[Any], fmus: Path, output: Path, laws: list[str],
     """Compare the laws in each study; print what comes out, write it to folders named after the scenarios."""
     from ..experiments import compare as run_comparison
     from ..plots import save_comparison
+    from ..scenario import build_system, rest_remarks
 
     written: list[str] = []
     try:
@@ -118,12 +120,14 @@ def run_and_write(studies: list[Any], fmus: Path, output: Path, laws: list[str],
             comparisons = run_comparison(
                 studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
             )
-        for comparison in comparisons:
+        for study, comparison in zip(studies, comparisons, strict=True):
             folder = output / comparison.scenario.name
             title = comparison.scenario.description or comparison.scenario.name
             comparison.save(folder, partial(save_comparison, comparison.results, title=title))
             written.append(comparison.scenario.name)
             print_comparison(comparison)
+            first = next(iter(comparison.results.values()))
+            say_notes(rest_remarks(first, build_system(comparison.scenario, fmus, study.folder)))
             console.print(f"results and pictures in {escaped(folder)}\n")
     except KeyboardInterrupt:
         kept = f"whole: {', '.join(written)}" if written else "nothing was kept"

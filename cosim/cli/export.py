@@ -12,7 +12,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from ..export import EXPORTED, PENDULUM, Kind, Smc, export_units
+from ..export import EXPORTED, Kind, Smc, export_units
 from ..system_export import export_system, exported_files
 from .display import console, escaped, say_notes
 from .options import assignments, loaded_design
@@ -80,6 +80,9 @@ def export(
     from ihc_fmu.estimation import remarks as remarks_of
     from ihc_fmu.observer import remark as of_observer
     from ihc_fmu.pendulum.start_values import default_design
+    from ihc_fmu.system import PENDULUM
+
+    from .. import certified
 
     changes: dict[str, dict[str, Any]] = {"plant": {}, "controller": {}}
     for name, value in assignments(change):
@@ -119,6 +122,7 @@ def export(
             say_notes(remarks_of(found))
             if found.system.observer is not None:
                 say_notes([of_observer(found)])
+    say_notes(certified.remarks(certified.start_values(found), changes["controller"]))
     for path in paths:
         console.print(f"wrote {escaped(path)}")
 

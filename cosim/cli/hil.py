@@ -105,7 +105,7 @@ def hil(
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
     signals = system.signals
-    say_notes(remarks(system))
+    say_notes(remarks(system, chosen))
     settings = Settings(
         rate=rate,
         duration=duration,

@@ -39,7 +39,7 @@ def run(
     """
     from ..metrics import can_draw, can_evaluate
     from ..results import Interrupted, SimulationError
-    from ..scenario import build_system, remarks, run_scenario
+    from ..scenario import build_system, remarks, rest_remarks, run_scenario
 
     chosen, folder, fmus = loaded(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -53,7 +53,8 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
-    say_notes(remarks(build_system(chosen, fmus, folder)))
+    system = build_system(chosen, fmus, folder)
+    say_notes(remarks(system, chosen))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -80,6 +81,7 @@ def run(
         earlier.unlink()
         console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
     warn_of_messages(result)
+    say_notes(rest_remarks(result, system))
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and can_draw(result):
         from ..plots import save_overview

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -59,7 +60,7 @@ def tune(
 
     from ..campaign import Journal
     from ..pendulum import is_controller
-    from ..scenario import controller_values
+    from ..scenario import controller_values, with_tolerances
     from ..tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from ..tuning import tune as run_tuning
 
@@ -78,6 +79,7 @@ def tune(
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
+    problem = replace(problem, scenario=with_tolerances(chosen, fmus, folder))
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)

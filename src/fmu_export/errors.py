@@ -6,6 +6,7 @@ Standard library only: this module travels inside the Python FMUs.
 from __future__ import annotations
 
 import reprlib
+from typing import Any
 
 _MOST_BITS = 256
 
@@ -24,7 +25,23 @@ class _Shown(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         return repr(x) if x.bit_length() <= _MOST_BITS else f"an integer of {x.bit_length()} bits"
 
+    def repr_bool(self, x: bool, level: int) -> str:
+        return "true" if x else "false"  # as files have it
+
+    def repr_date(self, x: Any, level: int) -> str:
+        return x.isoformat()
+
+    repr_datetime = repr_time = repr_date
+
+    def repr_ndarray(self, x: Any, level: int) -> str:
+        return self.repr1(x.tolist(), level)
+
 
 def shown(value: object) -> str:
     """Return `value` as a message may show it: on one line, and short, however large or deep it is."""
     return _Shown().repr(value)
+
+
+def counted(number: int, thing: str) -> str:
+    """Return "1 row", "2 rows"."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"

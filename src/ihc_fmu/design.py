@@ -18,17 +18,14 @@ from fmu_export.reading import parse_json, read_text
 from .block_form import BlockForm
 from .certificate import Certificate, CertificateError, certify
 from .integral import IntegralAction, integral_action
-from .system import LARGEST, System, from_dict
+from .system import LARGEST, PENDULUM, QUIET, System, from_dict
 
 Array = np.ndarray
 
 FORMAT = "qube-ihc design 2"
 FORMAT_1 = "qube-ihc design 1"
-ORDER_1, NAME_1 = 4, "rotary_pendulum"
+ORDER_1 = 4
 """Of designs for one input without names, which are read too; those of the order of the pendulum were for it."""
-
-QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
-"""Numbers beyond the range end in a refusal by the block form or the certificate, not in warnings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +174,7 @@ class Design:
         given = data["system"] if data["format"] == FORMAT else {name: data[name] for name in model}
         system = from_dict(given)
         if data["format"] == FORMAT_1 and system.n == ORDER_1:
-            system = system.changed(name=NAME_1)
+            system = system.changed(name=PENDULUM)
         if not _is_numbers(data["P"], 2):
             raise UserError(f"P must be a list of rows of numbers, all of one length, found {shown(data['P'])}")
         return cls(

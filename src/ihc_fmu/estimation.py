@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -9,7 +10,8 @@ import numpy as np
 from fmu_export.errors import UserError
 
 from .design import Design
-from .kalman import KalmanDesign, Noise, kalman_filter
+from .kalman import NONE, KalmanDesign, Noise, kalman_filter
+from .system import QUIET
 
 Array = np.ndarray
 
@@ -29,6 +31,7 @@ LEAK = 1e-5
 """Rate at which biases are forgotten, relative to the bandwidth."""
 
 
+@QUIET
 @lru_cache(maxsize=4)  # Riccati equations; asked for by the export and by what is remarked of it
 def estimator(design: Design) -> KalmanDesign:
     """Return the filter for the system of a design and its sample time; raises as `kalman_filter`.
@@ -36,18 +39,44 @@ def estimator(design: Design) -> KalmanDesign:
     Without an output that sees them all, disturbances cannot be estimated: a bandwidth of 0 leaves them out.
     """
     s = design.system
-    names = [q.name for q in s.states] + [f"the disturbance of {q.name}" for q in s.inputs]
-    names += [f"the bias of {q.name}" for q in s.outputs]
     try:
         *faster, slowest = _bandwidths(design)
         for omega in faster:
-            found = kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design, omega), names)
+            found = _filter(design, omega)
             if jump(design, found) <= MOST_JUMP:
                 return found
-        return kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design, slowest), names)
+        return _filter(design, slowest)
     except UserError as error:
-        hint = "; bandwidth = 0 in the system leaves the disturbances out" if s.bandwidth != 0.0 else ""
-        raise UserError(f"{s.name} has no Kalman filter: {error}{hint}") from None
+        raise UserError(f"{s.name} has no Kalman filter: {str(error).removeprefix(NONE)}{_way_out(design)}") from None
+
+
+def _filter(design: Design, omega: float) -> KalmanDesign:
+    s = design.system
+    names = [q.name for q in s.states] + [f"the disturbance of {q.name}" for q in s.inputs]
+    names += [f"the bias of {q.name}" for q in s.outputs]
+    return kalman_filter(s.A, s.B, np.asarray(s.C), s.sample_time, noise(design, omega), names)
+
+
+def _way_out(design: Design) -> str:
+    """Return what may be left out so that there is a filter, for the end of its refusal."""
+    s = design.system
+    without = [
+        (
+            s.bandwidth != 0.0 and s.integral is None,
+            {"bandwidth": 0.0},
+            "bandwidth = 0 in the system leaves the disturbances out",
+        ),
+        (bool(s.biases), {"biases": ()}, "without biases there is one"),
+    ]
+    for possible, change, hint in without:
+        if possible:
+            changed = replace(design, system=s.changed(**change))
+            try:
+                _filter(changed, _bandwidths(changed)[-1])
+            except UserError:
+                continue
+            return f"; {hint}"
+    return "; measure more, or leave out of the model what no output tells"
 
 
 def jump(design: Design, found: KalmanDesign) -> float:

@@ -117,6 +117,22 @@ def transpose(M: Matrix) -> list[list[float]]:
     return [list(column) for column in zip(*M, strict=True)]
 
 
+def indefinite_block(P: Matrix) -> int:
+    """Return the size of the first leading block of a symmetric P (n, n) that is not positive definite; 0 where none is.
+
+    By the pivots of Gaussian elimination, all positive where P is positive definite (Sylvester).
+    """
+    rows = [list(row) for row in P]
+    for k, pivoted in enumerate(rows):
+        if not pivoted[k] > 0.0:
+            return k + 1
+        for i in range(k + 1, len(rows)):
+            factor = rows[i][k] / pivoted[k]
+            for j in range(k, len(rows)):
+                rows[i][j] -= factor * pivoted[j]
+    return 0
+
+
 def chain(n: int) -> list[int]:
     """Return the exponents of the chain form of order n, n blocks of one coordinate: n - 1, ..., 1, 0."""
     return list(range(n - 1, -1, -1))

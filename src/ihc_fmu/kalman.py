@@ -14,13 +14,15 @@ from math import frexp, inf
 
 import numpy as np
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, counted
 
 from .block_form import RANK, combination, scaling
 from .homogeneity import Matrix, product, solve, transpose
 
 Array = np.ndarray
 
+NONE = "there is no Kalman filter for this model: "
+"""How refusals of a model begin."""
 TAYLOR_TERMS = 20
 """Of the exponential of a matrix smaller than 1/2: the rest is below rounding."""
 
@@ -71,7 +73,7 @@ def kalman_filter(
     if not 0.0 < h < inf:
         raise UserError(f"the sample time must be positive and finite, found {h} s")
     if not all(np.isfinite(M).all() for M in (A, B, C)):
-        raise UserError("there is no Kalman filter for this model: it is not finite")
+        raise UserError(f"{NONE}it is not finite")
     (n, m), p = B.shape, len(C)
     moved = [n + i for i, q in enumerate(noise.disturbances) if q > 0.0]
     biased = [n + m + i for i, q in enumerate(noise.biases) if q > 0.0]
@@ -87,7 +89,7 @@ def kalman_filter(
     which = np.ix_(kept, kept)
     if len(kept) - n > p:
         count = len(kept) - n
-        raise UserError(f"{count} disturbances and biases cannot be told from {p} measured outputs")
+        raise UserError(f"{count} disturbances and biases cannot be told from {counted(p, 'measured output')}")
     chosen = () if names is None else [str(names[i]) for i in kept]
     _check_detectable(F[which], seen[:, kept], chosen)
     M = np.zeros((n + m + p, p))
@@ -112,7 +114,7 @@ def _gain(F: Array, Q: Array, C: Array, h: float, variances: Sequence[float]) ->
     except (UserError, OverflowError, ZeroDivisionError):
         M = np.full((N, len(C)), np.nan)
     if not np.isfinite(M).all():
-        raise UserError("there is no Kalman filter for this model: its Riccati equation has no solution")
+        raise UserError(f"{NONE}its Riccati equation has no solution")
     return M
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from fmu_export.errors import UserError
 
@@ -105,8 +106,12 @@ class _Program:
             if values is None:
                 break
             X, Y = values
-            inverse = np.linalg.inv(X)
-            following = problem.to(inverse)
+            try:
+                inverse = np.linalg.inv(X)
+                following, L = problem.to(inverse), np.linalg.cholesky((inverse + inverse.T) / 2)
+            except LinAlgError as error:
+                failed = error
+                break
             if gap == GAP:
                 try:
                     found = self._made(problem, following, X, Y, tau)
@@ -115,10 +120,7 @@ class _Program:
                 else:
                     if float(np.abs(np.log(np.linalg.eigvalsh(X))).max()) < SETTLED:
                         return found
-            problem, Y = (
-                following,
-                Y @ np.linalg.cholesky((inverse + inverse.T) / 2),
-            )  # (K - K_0) S, and so Y, where X is I
+            problem, Y = following, Y @ L  # (K - K_0) S, and so Y, where X is I
         if found is None:
             found = self._first(tau, failed)
         return replace(found, method=f"{found.method}, ball not maximized")

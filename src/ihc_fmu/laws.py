@@ -11,6 +11,8 @@ from __future__ import annotations
 from math import isfinite, isnan
 from typing import NamedTuple
 
+from fmu_export.errors import UserError
+
 from .homogeneity import (
     Exponents,
     Matrix,
@@ -19,6 +21,7 @@ from .homogeneity import (
     chain,
     dot,
     exact_dot,
+    indefinite_block,
     inverse_power,
     norm_polynomial,
     product,
@@ -68,8 +71,12 @@ def block_design(
 ) -> BlockDesign:
     """Return the prepared design for the unit ball x' P x <= 1; `name` is what its user calls T.
 
-    K_0z is refined: entries that should be 0 would otherwise outweigh gains that fade. Raises UserError for a singular T.
+    K_0z is refined: entries that should be 0 would otherwise outweigh gains that fade. Raises UserError for a P that is not
+    positive definite, for which there is no norm, and for a singular T.
     """
+    indefinite = indefinite_block(P)
+    if indefinite:
+        raise UserError(f"P must be positive definite, found that its leading {indefinite} x {indefinite} block is not")
     T_t = transpose(T)
     m = len(K)
     columns = [[k - k_0 for k, k_0 in zip(k_j, k_0j, strict=True)] + k_0j for k_j, k_0j in _columns(K, K_0)]

@@ -59,5 +59,6 @@ class Options:
             return None
         bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))
         if bounds.shape not in ((1,), (m,)):
-            raise UserError(f"u_max must be a number or {m} numbers, one for each input, found {len(bounds)}")
+            several = "" if m == 1 else f" or {m} numbers, one for each input"
+            raise UserError(f"u_max must be a number{several}, found {len(bounds)}")
         return np.broadcast_to(bounds, (m,))

@@ -17,12 +17,12 @@ from scipy.optimize import brentq
 from fmu_export.errors import UserError
 
 from .block_form import BlockForm
-from .design import QUIET, Design
+from .design import Design
 from .integral import check_degree, largest_mu
 from .largest_ball import FEWER_DIGITS, largest_ball
 from .lmi import MARGIN, InfeasibleError, Limit, Problem, decay, faster, flatness, is_refuted, search
-from .options import Options
-from .system import System
+from .options import SCALES, Options
+from .system import QUIET, System
 
 Array = np.ndarray
 
@@ -311,6 +311,13 @@ def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Sa
 def _bounds_from_limits(system: System) -> tuple[list[float], str]:
     room = np.minimum(system.upper - system.u_eq, system.u_eq - system.lower)  # type: ignore[operator]
     limited = np.isfinite(room)
+    least, most = (scale / SHARE_OF_LIMIT for scale in SCALES)
+    for q, size in zip(system.inputs, room, strict=True):
+        if np.isfinite(size) and not least <= size <= most:
+            raise UserError(
+                f"limits must leave a room of {least:g} to {most:g} around the inputs at the equilibrium, half of which is "
+                f"u_max where none is given, found {size:g} for {q.name}"
+            )
     bounds = np.where(limited, SHARE_OF_LIMIT * room, 1.0).tolist()
     shown = ", ".join(
         f"{bound:g}{'' if q.unit == '1' else ' ' + q.unit}" for bound, q in zip(bounds, system.inputs, strict=True)

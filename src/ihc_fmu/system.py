@@ -22,7 +22,7 @@ from scipy.linalg import LinAlgError, solve_continuous_are
 
 from filing.files import write_file
 from filing.origin import WRITTEN
-from fmu_export.errors import UserError, shown
+from fmu_export.errors import UserError, counted, shown
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 
@@ -30,12 +30,16 @@ from .block_form import BlockForm, block_form
 
 Array = np.ndarray
 
+QUIET = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+"""Numbers beyond the range end in a refusal, by the block form, the certificate or a check, not in warnings."""
 LARGEST = 1e300
 """Numbers of a system are smaller."""
 LONGEST_NAME = 100
 """Most characters of a name or a unit."""
 DIRECT = "direct"
 """In place of a gain of integral action: choose one."""
+PENDULUM = "rotary_pendulum"
+"""Name of the systems whose controller is the pendulum's, with swing-up."""
 LAWS = ("u = K x", "u = -K x")
 """How a gain may be meant."""
 
@@ -50,13 +54,16 @@ class Quantity(NamedTuple):
         return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
 
     @classmethod
-    def parse(cls, text: str) -> Quantity:
-        """Return the quantity that "position [m]" or "position" means; the bracket of a unit stands behind a blank."""
+    def parse(cls, text: str, what: str = "a quantity") -> Quantity:
+        """Return the quantity that "position [m]" or "position" means; the bracket of a unit stands behind a blank.
+
+        Raises UserError that calls it `what`.
+        """
         match = re.fullmatch(r"(.*\S)\s+\[([^\[\]]+)\]", text.strip())
         name, unit = (match[1], match[2].strip()) if match else (text.strip(), "1")
         for part in (name, unit):
             if not part or len(part) > LONGEST_NAME or not part.isprintable():
-                raise UserError(f"a quantity must be a printable name and perhaps a [unit], found {shown(text)}")
+                raise UserError(f"{what} must be a printable name and perhaps a [unit], found {shown(text)}")
         return cls(name, unit)
 
 
@@ -101,8 +108,10 @@ class ObserverWish:
         if not isinstance(table, Mapping) or not set(table) <= set(names):
             raise UserError(f"observer must be a table of {', '.join(names)}, found {shown(table)}")
         for name, value in table.items():
-            levels = 0 if name not in ("L", "poles", "Q", "R") else 1 if _is_row(value) else 2
-            _check_numbers(f"observer.{name}", value, levels)
+            if name in ("L", "poles", "Q", "R"):
+                _check_weights(f"observer.{name}", value)
+            else:
+                _check_numbers(f"observer.{name}", value, 0)
         return cls(**table)
 
     def as_table(self) -> dict[str, Any]:
@@ -162,13 +171,14 @@ class System:
         B = _matrix("B", self.B, flat=True)
         self._set("B", B[:, None] if B.ndim == 1 else B)
         if self.B.shape[0] != n or self.B.shape[1] == 0:
-            raise UserError(f"B must have {n} rows to fit A, found shape {self.B.shape}")
+            empty = " and columns" if not self.B.shape[1] else ""
+            raise UserError(f"B must have {counted(n, 'row')}{empty} to fit A, found shape {self.B.shape}")
         m = self.B.shape[1]
         self._set("measures_state", self.C is None)
         self._set("C", np.eye(n) if self.C is None else _matrix("C", self.C))
         assert self.C is not None
         if self.C.shape[1] != n or not len(self.C):
-            raise UserError(f"C must have {n} columns to fit A, found shape {self.C.shape}")
+            raise UserError(f"C must have {counted(n, 'column')} to fit A, found shape {self.C.shape}")
         for i, row in enumerate(self.C):
             if not row.any():
                 raise UserError(f"C must have no row of zeros, found that output {i + 1} measures nothing")
@@ -176,7 +186,7 @@ class System:
             K = _matrix("K", self.K, flat=True)
             self._set("K", K[None, :] if K.ndim == 1 else K)
             if self.K.shape != (m, n):
-                raise UserError(f"K must have {m} rows of {n} numbers to fit B and A, found shape {self.K.shape}")
+                raise UserError(f"K must have {_rows(m, n)} to fit B and A, found shape {self.K.shape}")
         if isinstance(self.integral, str) and self.integral != DIRECT:
             raise UserError(f'integral must be rows of numbers or "{DIRECT}", found {shown(self.integral)}')
         if self.integral is not None and not isinstance(self.integral, str):
@@ -184,7 +194,7 @@ class System:
             self._set("integral", _matrix("integral", K_i[None, :] if K_i.ndim == 1 else K_i))
             if np.shape(self.integral) != (m, n):
                 raise UserError(
-                    f"integral must have {m} rows of {n} numbers to fit B and A, found shape {np.shape(self.integral)}"
+                    f"integral must have {_rows(m, n)} to fit B and A, found shape {np.shape(self.integral)}"
                 )
         self._take_names(n, m, len(self.C))
         self._take_vectors(n, m, len(self.C))
@@ -203,9 +213,9 @@ class System:
             raise UserError("outputs must come with C; without C the states are measured")
         for kind, letter, count in (("states", "x", n), ("inputs", "u", m), ("outputs", "y", p)):
             given = getattr(self, kind) or [f"{letter}{i}" for i in range(1, count + 1)]
-            found = tuple(q if isinstance(q, Quantity) else Quantity.parse(q) for q in given)
+            found = tuple(q if isinstance(q, Quantity) else Quantity.parse(q, f"each of {kind}") for q in given)
             if len(found) != count:
-                raise UserError(f"{kind} must be {count} names to fit the matrices, found {len(found)}")
+                raise UserError(f"{kind} must be {counted(count, 'name')} to fit the matrices, found {len(found)}")
             self._set(kind, found)
         if self.measures_state:
             self._set("outputs", self.states)
@@ -221,35 +231,39 @@ class System:
                 self.output(name, kind)
 
     def _take_vectors(self, n: int, m: int, p: int) -> None:
-        for name, count, default in (
-            ("x_eq", n, 0.0),
-            ("u_eq", m, 0.0),
-            ("y_eq", p, 0.0),
-            ("resolutions", p, 0.0),
-            ("deviations", p, 0.0),
-            ("lower", m, -np.inf),
-            ("upper", m, np.inf),
+        for name, count, of, default in (
+            ("x_eq", n, "state", 0.0),
+            ("u_eq", m, "input", 0.0),
+            ("y_eq", p, "output", 0.0),
+            ("resolutions", p, "output", 0.0),
+            ("deviations", p, "output", 0.0),
+            ("lower", m, "input", -np.inf),
+            ("upper", m, "input", np.inf),
         ):
             value = getattr(self, name)
             if name == "y_eq" and self.measures_state:
                 value = self._measured_equilibrium(value)
             value = np.full(count, default) if value is None else np.array(value, dtype=float)
             if value.shape != (count,):
-                name = "limits" if name in ("lower", "upper") else name  # noqa: PLW2901 - as in files
-                raise UserError(f"{name} must be {count} numbers to fit the matrices, found shape {value.shape}")
+                size = len(value) if value.ndim == 1 else f"shape {value.shape}"
+                raise UserError(f"{_in_files(name)} must be as many as {of}s, {count}, found {size}")
             self._set(name, value)
         for name in ("x_eq", "u_eq", "y_eq", "resolutions", "deviations"):
-            _matrix(name, getattr(self, name)[None, :])
+            _matrix(_in_files(name), getattr(self, name)[None, :])
         for name in ("resolutions", "deviations"):
             if (getattr(self, name) < 0.0).any():
                 raise UserError(f"{name} must not be negative, found {getattr(self, name).min():g}")
         assert self.lower is not None
         assert self.upper is not None
         assert self.u_eq is not None
-        if not (self.lower < self.upper).all():
-            raise UserError(f"limits must be apart, lower below upper, found {self.lower} and {self.upper}")
-        if not ((self.lower < self.u_eq) & (self.u_eq < self.upper)).all():
-            raise UserError(f"limits must leave room around the inputs at the equilibrium, found {self.u_eq}")
+        for q, low, high, at_rest in zip(self.inputs, self.lower, self.upper, self.u_eq, strict=True):
+            if not low < high:
+                raise UserError(f"limits must be apart, lower below upper, found {low:g} and {high:g} for {q.name}")
+            if not low < at_rest < high:
+                raise UserError(
+                    f"limits must leave room around the inputs at the equilibrium, found {low:g} and {high:g} around "
+                    f"{q.name} = {at_rest:g}"
+                )
         if not 0.0 < self.sample_time < LARGEST:
             raise UserError(f"sample_time must be positive and finite [s], found {self.sample_time}")
         if self.bandwidth is not None and not 0.0 <= self.bandwidth < LARGEST:
@@ -258,7 +272,10 @@ class System:
     def _measured_equilibrium(self, y_eq: object) -> object:
         """Return y_eq of measured states, which is x_eq."""
         if y_eq is not None and not np.array_equal(np.asarray(y_eq, dtype=float), np.asarray(self.x_eq)):
-            raise UserError("without C the outputs are the states, and so are those of the equilibrium")
+            raise UserError(
+                "equilibrium.outputs must be left out without C, as the outputs are the states, found "
+                f"{shown(np.asarray(y_eq).tolist())}"
+            )
         return self.x_eq
 
     def _check_observer(self, n: int, p: int) -> None:
@@ -277,7 +294,7 @@ class System:
         L = self.observer.L
         if L is not None and L.shape != (n, p):
             if L.shape != (n,) or p != 1:
-                raise UserError(f"observer.L must have {n} rows of {p} numbers to fit A and C, found shape {L.shape}")
+                raise UserError(f"observer.L must have {_rows(n, p)} to fit A and C, found shape {L.shape}")
             self._set("observer", replace(self.observer, L=L[:, None]))
 
     @property
@@ -321,6 +338,7 @@ class System:
             kept = {"y_eq": None, "resolutions": None, "deviations": None, **dict.fromkeys(_OF_OUTPUTS, ())}
         return replace(self, **{**kept, **changes})
 
+    @QUIET
     def with_lqr(self, Q: Array, R: Array) -> System:
         """Return the system with the gain of the linear-quadratic regulator, K = -R^-1 B' S.
 
@@ -333,10 +351,12 @@ class System:
             W = np.diag(W) if W.ndim == 1 else W
             if W.shape != (size, size) or not np.isfinite(W).all() or np.abs(W - W.T).max() > 1e-9 * np.abs(W).max():
                 raise UserError(
-                    f"lqr.{name} must be {size} numbers, or a symmetric matrix of that size, found {shown(value)}"
+                    f"lqr.{name} must be {counted(size, 'number')}, or a symmetric matrix of that size, found {shown(value)}"
                 )
-            if np.linalg.eigvalsh(W)[0] < (0.0 if name == "Q" else 1e-300):
-                raise UserError(f"lqr.{name} must be {'positive semidefinite' if name == 'Q' else 'positive definite'}")
+            least = float(np.linalg.eigvalsh(W)[0])
+            if least < (0.0 if name == "Q" else 1e-300):
+                rule = "positive semidefinite" if name == "Q" else "positive definite"
+                raise UserError(f"lqr.{name} must be {rule}, found the eigenvalue {least:g}")
             weights.append(W)
         try:
             S = solve_continuous_are(self.A, self.B, *weights)
@@ -357,10 +377,17 @@ class System:
         `rest` are other fields of System; labels of the model become names where none are given. A C that is the unit
         matrix stands for measured states.
         """
+        if not all(hasattr(model, name) for name in "ABCD"):
+            raise UserError(f"the model must have A, B, C and D, found a {type(model).__name__}")
         if getattr(model, "dt", None) not in (None, 0):
             raise UserError(f"the model must be in continuous time, found dt = {model.dt}")
-        if np.any(np.asarray(model.D, dtype=float)):
-            raise UserError("the model must have D = 0")
+        D = np.asarray(model.D, dtype=float)
+        for i, j in np.argwhere(D)[:1]:
+            labels = [getattr(model, f"{kind}_labels", None) for kind in ("input", "output")]
+            names = [
+                label[k] if label else f"{kind}{k + 1}" for label, k, kind in zip(labels, (j, i), "uy", strict=True)
+            ]
+            raise UserError(f"the model must have D = 0, found {D[i, j]:g} from {names[0]} to {names[1]}")
         C = np.asarray(model.C, dtype=float)
         given: dict[str, Any] = {"A": np.asarray(model.A), "B": np.asarray(model.B), "K": meant(K, law)}
         if C.shape != np.shape(model.A) or not np.array_equal(C, np.eye(len(C))):
@@ -448,6 +475,19 @@ def meant(K: Array | None, law: str | None) -> Array | None:
     return np.asarray(K, dtype=float) if law == LAWS[0] else -np.asarray(K, dtype=float)
 
 
+def _in_files(name: str) -> str:
+    """Return what files call a field."""
+    return {
+        "lower": "limits",
+        "upper": "limits",
+        **{field: f"equilibrium.{k}" for k, field in _EQUILIBRIUM.items()},
+    }.get(name, name)
+
+
+def _rows(count: int, length: int) -> str:
+    return f"{counted(count, 'row')} of {counted(length, 'number')}"
+
+
 def _check_unique(names: Sequence[str], kind: str) -> None:
     for name in names:
         if names.count(name) > 1:
@@ -483,6 +523,13 @@ def from_dict(data: object) -> System:
     """Return the system that the entries of a file mean; raise UserError that names the entry, the rule and the value."""
     if not isinstance(data, Mapping):
         raise UserError(f"a system must be a table of entries, found {shown(data)}")
+    try:
+        return _system_of(data)
+    except UserError as error:
+        raise UserError(_called_as_given(str(error), data)) from None
+
+
+def _system_of(data: Mapping[Any, Any]) -> System:
     for name in data:
         if name not in ENTRIES:
             raise UserError(f"a system has no entry {shown(name)}{did_you_mean(str(name), ENTRIES)}")
@@ -497,6 +544,13 @@ def from_dict(data: object) -> System:
     found |= _limits(given.get("limits")) | _equilibrium(given.get("equilibrium", {}))
     system = System(**found)
     return _with_lqr(system, given["lqr"]) if "lqr" in given else system
+
+
+def _called_as_given(message: str, data: Mapping[Any, Any]) -> str:
+    """Return a message about an entry by the name that the file has for it: k_lin for K, b for B."""
+    name, blank, rest = message.partition(" ")
+    short = {long: short for short, long in _ALIASES.items() if short in data}.get(name, name)
+    return f"{short}{blank}{rest}"
 
 
 def _read_text(name: str, value: object) -> str:
@@ -516,7 +570,9 @@ def _read_rows(name: str, value: Any) -> Any:
 
 
 def _read_integral(name: str, value: Any) -> Any:
-    return value if isinstance(value, str) else _check_numbers(name, value, 1 if _is_row(value) else 2)
+    return (
+        value if isinstance(value, str) else _check_numbers(name, value, 1 if _is_row(value) else 2, f'or "{DIRECT}"')
+    )
 
 
 def _read_number(name: str, value: Any) -> float:
@@ -527,12 +583,21 @@ def _is_row(value: object) -> bool:
     return isinstance(value, list) and not any(isinstance(entry, list) for entry in value)
 
 
-def _check_numbers(name: str, value: Any, levels: int) -> Any:
-    """Return a number, a list or a list of lists of numbers; raise UserError that names it for anything else."""
+def _check_numbers(name: str, value: Any, levels: int, otherwise: str = "") -> Any:
+    """Return a number, a list or a list of lists of numbers; raise UserError that names it for anything else.
+
+    `otherwise` says what else it could have been.
+    """
     if not _are_numbers(value, levels):
         kind = ("a number", "a list of numbers", "rows of numbers")[levels]
-        raise UserError(f"{name} must be {kind}, found {shown(value)}")
+        raise UserError(f"{name} must be {kind}{' ' + otherwise if otherwise else ''}, found {shown(value)}")
     return value
+
+
+def _check_weights(name: str, value: Any) -> Any:
+    """Return a matrix of weights or the list of its diagonal; raise UserError that names it for anything else."""
+    row = _is_row(value)
+    return _check_numbers(name, value, 1 if row else 2, "" if row else "or a list of them")
 
 
 def _are_numbers(value: object, levels: int) -> bool:
@@ -562,7 +627,7 @@ def _equilibrium(value: Any) -> dict[str, Any]:
 def _with_lqr(system: System, value: Any) -> System:
     if not isinstance(value, dict) or set(value) != {"Q", "R"}:
         raise UserError(f"lqr must be a table of Q and R, found {shown(value)}")
-    weights = {name: _check_numbers(f"lqr.{name}", W, 1 if _is_row(W) else 2) for name, W in value.items()}
+    weights = {name: _check_weights(f"lqr.{name}", W) for name, W in value.items()}
     return system.with_lqr(**{name: _matrix(f"lqr.{name}", W, flat=True) for name, W in weights.items()})
 
 

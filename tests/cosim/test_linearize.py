@@ -15,7 +15,9 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.fmu import FmuError, describe
+from cosim.linear_model import sample_time_for
 from cosim.linearize import linear_model
+from cosim.system_file import _hints, write
 from fmu_export.native_build import build_library, host_platform
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.system import Quantity, System
@@ -465,6 +467,16 @@ def test_a_foreign_model_keeps_its_names_units_and_limits(foreign, tmp_path):
     np.testing.assert_allclose(model.C, [[2, 0]], atol=1e-12)
     np.testing.assert_allclose([*model.x_eq, *model.u_eq, *model.y_eq], [0.5, 0.0, 2.0, 1.0], atol=1e-12)
     assert (model.lower.tolist(), model.upper.tolist()) == ([-5.0], [7.0])
+    text = _hints(model.system())
+    hints = [line for line in text.splitlines() if line.startswith("# ") and " = " in line]
+    assert [hint.split()[1] for hint in hints] == [
+        *("lqr", "resolutions", "deviations", "set_points", "integral", "observer")
+    ]
+    for hint in hints:  # each of them is what it says
+        new = tmp_path / f"{hint.split()[1]}.toml"
+        write(new, model)
+        new.write_text(new.read_text(encoding="utf-8").replace(hint, hint.removeprefix("# ")), encoding="utf-8")
+        assert System.load(new).sample_time == 0.01  # of 2 rad/s
     system = model.system("mass")
     system.save(tmp_path / "mass.toml")
     loaded = System.load(tmp_path / "mass.toml")
@@ -490,6 +502,20 @@ def test_a_foreign_model_that_misbehaves_is_one_sentence(foreign, knob, value, e
     with pytest.raises(error, match=words) as caught:
         linear_model(foreign, outputs=["sensor.y"], start={knob: value})
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("A", "time", "why"),
+    [
+        ([[0.0, 1.0], [32.7, -0.222]], 2e-3, "0.02 of the time of the plant's fastest pole, 5.83 1/s"),
+        ([[-0.5]], 0.02, "0.02 of the time of the plant's fastest pole, 0.5 1/s"),
+        (np.eye(4, k=1), 1e-3, "no pole of the plant says what it needs"),
+        ([[-7000.0]], 1e-3, "the plant's fastest pole, 7e+03 1/s, is left to itself"),
+        ([[1000.0]], 1e-4, "0.1 of the time in which the plant grows, at 1e+03 1/s"),
+    ],
+)
+def test_a_sample_time_is_chosen_from_the_poles(A, time, why):
+    assert sample_time_for(np.array(A)) == (time, why)
 
 
 # The command

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
+from cosim.evaluation import evaluation_in
 from cosim.new import new
+from cosim.results import Result
 from cosim.scenario import load_scenario
 from ihc_fmu.design import Design
 from ihc_fmu.system import System
@@ -81,6 +83,16 @@ def test_the_scenario_names_the_files_that_there_are_and_will_be(begun):
     scenario, folder = load_scenario(str(place / "see_saw_run.toml"))
     assert (scenario.plant.fmu, scenario.controller.fmu) == ("see_saw.fmu", "see_saw_controller.fmu")
     assert (folder / scenario.plant.fmu).is_file()
+
+
+def test_a_result_has_the_units_of_the_descriptions_which_are_those_of_the_wires(begun):
+    place, _, _ = begun
+    result = Result.load(place / "results" / "see_saw_run.csv")
+    names = ("plant.angle", "plant.velocity", "controller.torque")
+    assert [result.units[name] for name in names] == ["rad", "rad/s", "N.m"]
+    about = evaluation_in(result)
+    assert [e.unit for e in (*about.errors, *about.controls)] == ["rad", "rad/s", "N.m"]
+    assert result.metadata["messages"].get("plant", []) == []
 
 
 @pytest.mark.parametrize("there", ["crane.py", "crane.toml", "crane_run.toml"])

@@ -68,7 +68,7 @@ def test_dry_friction_may_be_missing_and_whole_numbers_are_numbers(file):
         ({"source": None, "k_m": None}, "source, k_m missing"),
         ({"back_emf": None}, "back_emf missing"),
         ({"m_p": "'heavy'"}, "m_p must be a number, found 'heavy'"),
-        ({"m_p": "true"}, "m_p must be a number, found True"),
+        ({"m_p": "true"}, "m_p must be a number, found true"),
         ({"m_p": "0.0"}, "m_p must be finite and positive, found 0.0 kg"),
         ({"L_p": "nan"}, "L_p must be finite and positive, found nan m"),
         ({"J_p": "inf"}, "J_p must be finite and positive, found inf kg.m2"),

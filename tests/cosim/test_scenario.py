@@ -128,7 +128,7 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
             "start": 1.0,
         },
         "signals": (),
-        "evaluate": {"errors": None, "controls": None, "scales": None, "tolerance": None},
+        "evaluate": dict.fromkeys(("errors", "controls", "scales", "tolerance", "tolerances")),
         "record": {"outputs": ("plant.theta",), "every": 4},
     }
     start = scenario.plant.start
@@ -319,7 +319,7 @@ def test_a_design_for_another_model_meets_no_plant(design, tmp_path):
     assert build_system(Scenario().changed({"controller.other_model": True}), tmp_path).components
     double_integrator = System(A=np.eye(2, k=1), B=np.array([0.0, 1.0]), K=np.array([-1.0, -2.0]))
     two = inverse_design(double_integrator, Options(alpha=0.1))
-    with pytest.raises(UserError, match="takes designs of order 4, found order 2"):
+    with pytest.raises(UserError, match=r"takes designs of 4 states and 1 input, found 2 and 1$"):
         export_units(two, output=tmp_path)
 
 

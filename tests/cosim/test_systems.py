@@ -17,7 +17,7 @@ from cosim.fmu import start_values_of
 from cosim.metrics import evaluate, quantities_of
 from cosim.overlay import compared, lay
 from cosim.results import Result
-from cosim.scenario import build_system, load_scenario, run_scenario
+from cosim.scenario import build_system, load_scenario, run_scenario, with_tolerances
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.block_form import block_form
 from ihc_fmu.regulator.interface import Shape
@@ -191,7 +191,7 @@ def test_a_set_point_may_come_from_a_component_in_another_unit(units, scenario):
 
 
 def test_only_real_numbers_convert(tiny_fmu, scenario):
-    wires = 'wires = ["plant.whole_out -> plant.whole * 2.0"]'
+    wires = 'wires = ["plant.whole_out->plant.whole*2.0"]'
     chosen, folder = scenario(f'{wires}\nplant.fmu = "Tiny.fmu"\ncontroller.fmu = "none"\nrun.duration = 0.01')
     with pytest.raises(
         UserError, match=r"may convert real numbers by finite ones, found Integer, factor 2 and offset 0"
@@ -216,7 +216,13 @@ def test_a_wire_may_have_an_offset(units, scenario):
     ("text", "problem"),
     [
         ('wires = ["plant.position - controller.position"]', "wires.0 must be 'component.output -> component.input'"),
+        ('wires = ["a.b -> c.d * nan"]', "wires.0 must have a finite number behind \\*, found 'nan'"),
+        ('wires = ["a.b -> c.d * 1e999"]', "wires.0 must have a finite number behind \\*, found '1e999'"),
         ('wires = [{ source = "plant.position" }]', "wires.0.target is required"),
+        (
+            'wires = [{ source = "a.b", target = "c.d", factor = nan }]',
+            "wires.0.factor must be a finite number, found nan",
+        ),
         (
             'wires = [{ source = "a.b", target = "c.d", factor = "x" }]',
             "wires.0.factor must be a valid number, found 'x'",
@@ -426,7 +432,16 @@ def test_a_signal_on_whole_numbers_has_whole_numbers(tiny_fmu, scenario, tmp_pat
 
 def test_errors_of_one_unit_add_up_and_others_stand_side_by_side(units, scenario):
     chosen, folder = scenario(CART_SCENARIO)
-    apart = evaluate(run_scenario(chosen, units, folder))
+    result = run_scenario(chosen, units, folder)
+    apart, fastest = evaluate(result), 0.02 * abs(result["plant.speed"]).max()
+    meanings = [q.meaning for q in apart.quantities.values() if q.role == "settling"]
+    assert meanings == [  # 2 % of the 0.1 m at the start and of the largest speed; the same for each law
+        f"from then on |e {name}| ≤ {within} to the end of the run"
+        for name, within in (("position", "0.002 m"), ("speed", f"{fastest:.2g} m/s"))
+    ]
+    fixed = with_tolerances(chosen, units, folder).changed({"controller.start.law": "LC", "plant.start.x0[1]": 0.3})
+    held = evaluate(run_scenario(fixed, units, folder))
+    assert [q.meaning for q in held.quantities.values() if q.role == "settling"] == meanings
     assert list(apart.values) == [
         *(f"{name}[plant.{e}]" for e in ("position", "speed") for name in ERRORS),
         "energy",
@@ -479,7 +494,8 @@ def test_several_controls_add_up_where_they_have_one_unit(units, scenario):
             {"evaluate.errors": ["plant.force"]},
             r"evaluate\.errors takes outputs, and inputs with a signal; plant\.force is an input",
         ),
-        ({"evaluate.scales": [1.0]}, r"must have a scale for each of 2 errors, found 1"),
+        ({"evaluate.scales": [1.0]}, r"^evaluate: must have a scale for each of 2 errors, found 1$"),
+        ({"evaluate.tolerances": [1.0]}, r"^evaluate: must have a tolerance for each of 2 \|e\|, found 1$"),
         ({"evaluate.errors": []}, r"evaluate\.errors must have at least one entry, found none"),
         ({"evaluate.scales": [0.0, 1.0]}, r"evaluate\.scales\.0 must be greater than 0"),
     ],

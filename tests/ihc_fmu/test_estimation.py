@@ -89,7 +89,7 @@ def test_disturbances_are_left_out_on_demand():
     with pytest.raises(UserError) as refusal:
         estimator(Design(tank, np.eye(1), mu=1.0, alpha=0.1))
     assert str(refusal.value) == (
-        "tank has no Kalman filter: 2 disturbances and biases cannot be told from 1 measured outputs; "
+        "tank has no Kalman filter: 2 disturbances and biases cannot be told from 1 measured output; "
         "bandwidth = 0 in the system leaves the disturbances out"
     )
     found = estimator(Design(tank.changed(bandwidth=0.0), np.eye(1), mu=1.0, alpha=0.1))
@@ -98,7 +98,12 @@ def test_disturbances_are_left_out_on_demand():
 
 
 def test_state_that_cannot_be_observed_is_refused_by_name():
-    with pytest.raises(
-        UserError, match=r"^system has no Kalman filter: no measured output tells position from nothing"
-    ):
+    """What is advised is what helps: leaving out the disturbances or a bias, and where neither does, measuring more."""
+    refusal = (
+        r"^system has no Kalman filter: no measured output tells position from nothing; measure more, or leave out "
+    )
+    with pytest.raises(UserError, match=refusal):
         estimator(cart(C=np.array([[0.0, 1.0]])))
+    integrates = cart().system.changed(integral="direct", biases=("y1",))
+    with pytest.raises(UserError, match=r"cannot be told from 1 measured output; without biases there is one$"):
+        estimator(replace(cart(), mu=0.5, system=integrates))

@@ -213,7 +213,7 @@ def test_system_file_holds_it(integral, tmp_path):
     ("integral", "message"),
     [
         ("some", 'integral must be rows of numbers or "direct", found .some'),
-        ([[1.0, 2.0]], r"integral must have 1 rows of 4 numbers to fit B and A, found shape \(1, 2\)"),
+        ([[1.0, 2.0]], r"integral must have 1 row of 4 numbers to fit B and A, found shape \(1, 2\)"),
         ([[1.0, 2.0, 3.0, "4"]], "integral must be rows of numbers"),
         (3.0, "integral must be rows of numbers"),
         ([[1.0, 2.0, 3.0, float("nan")]], "integral must be finite, found nan"),

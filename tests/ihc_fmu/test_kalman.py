@@ -80,7 +80,7 @@ def test_what_is_noisier_is_trusted_less():
 
 
 def test_more_disturbances_and_biases_than_outputs_are_refused():
-    with pytest.raises(UserError, match=r"^2 disturbances and biases cannot be told from 1 measured outputs$"):
+    with pytest.raises(UserError, match=r"^2 disturbances and biases cannot be told from 1 measured output$"):
         kalman_filter(*model(2, 1, 1), H, noise(1, 1))
 
 

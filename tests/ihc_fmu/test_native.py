@@ -388,8 +388,10 @@ def test_any_admissible_numbers_are_answered_alike(exported, start_values):
             "sample_time = 0.002 s",
         ),
         ({f"Phi_1{j}": 0.0 for j in (1, 2, 3, 4)}, "Phi must be regular, found a singular matrix"),
+        ({"P_11": -1.0}, "P must be positive definite, found that its leading 1 x 1 block is not"),
+        ({"P_14": 1e9}, "P must be positive definite, found that its leading 4 x 4 block is not"),
     ],
-    ids=["limits", "angles", "Kalman time", "Phi"],
+    ids=["limits", "angles", "Kalman time", "Phi", "P", "P as a whole"],
 )
 def test_start_values_that_contradict_each_other_are_refused_by_both_with_the_same_words(
     changes, words, instance, controller

@@ -1,5 +1,7 @@
 """Designs by matrix inequalities: active bounds, limits of alpha, robust terms, any order and units."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -166,10 +168,19 @@ def test_requests_that_no_design_can_meet_are_refused(paper):
     A, b, k_lin = paper
     with pytest.raises(ValueError, match="must be controllable"):
         inverse_design(system(-np.eye(4), b, np.zeros(4)))
-    with pytest.raises(ValueError, match=r"K must have 1 rows of 4 numbers to fit B and A, found shape \(1, 3\)"):
+    with pytest.raises(ValueError, match=r"K must have 1 row of 4 numbers to fit B and A, found shape \(1, 3\)"):
         inverse_design(system(A, b, k_lin[:3]))
     with pytest.raises(ValueError, match=r"one of 0\.\.3, found 4"):
         inverse_design(system(A, b, k_lin), Options(delta_max=0.1, index=4))
+    with pytest.raises(ValueError, match=r"^u_max must be a number, found 2$"):
+        inverse_design(system(A, b, k_lin), Options(u_max=[1.0, 2.0]))
+    for limit in (1e-12, 1e308):
+        given = system(A, b, k_lin).changed(lower=[-limit], upper=[limit])
+        with pytest.raises(
+            ValueError,
+            match=rf"^limits must leave a room of 2e-09 to 2e.09 .*, found {re.escape(f'{limit:g}')} for u1$",
+        ):
+            chosen_options(given, 1.0, 0.1)
     with pytest.raises(ValueError, match="a direct design needs u_max"):
         direct_design(system(A, b), Options(u_max=None, delta_max=0.1))
 

@@ -1,11 +1,12 @@
 """A system with names and units: every rule and its refusal, models of others, its file, its regulator."""
 
 from dataclasses import fields
-from types import SimpleNamespace
 from typing import Any
 
+import control
 import numpy as np
 import pytest
+import scipy.signal
 from scipy.linalg import solve_continuous_are
 
 from fmu_export.errors import UserError
@@ -76,30 +77,32 @@ def test_names_carry_units(text, name, unit):
         ({"A": []}, "A must be rows of numbers, all of one length, found shape (0,)"),
         ({"A": [[0, 1], [2]]}, "A must be rows of numbers, all of one length, found [[0, 1], [2]]"),
         ({"A": [[0, "x"], [0, 0]]}, "A must be rows of numbers, found [[0, 'x'], [0, 0]]"),
-        ({"A": [[0, True], [0, 0]]}, "A must be rows of numbers, found [[0, True], [0, 0]]"),
+        ({"A": [[0, True], [0, 0]]}, "A must be rows of numbers, found [[0, true], [0, 0]]"),
         ({"A": [[0, 1], [float("nan"), 0]]}, "A must be finite, found nan"),
         ({"A": [[0, 1], [1e301, 0]]}, "A must be finite, found 1e+301"),
         ({"B": [[0], [1], [2]]}, "B must have 2 rows to fit A, found shape (3, 1)"),
-        ({"B": [[], []]}, "B must have 2 rows to fit A, found shape (2, 0)"),
+        ({"B": [[], []]}, "B must have 2 rows and columns to fit A, found shape (2, 0)"),
         ({"b": [0, 1]}, "a system has b or B, found both"),
         ({"C": [[1, 0, 0]]}, "C must have 2 columns to fit A, found shape (1, 3)"),
-        ({"K": [[1, 2, 3]]}, "K must have 1 rows of 2 numbers to fit B and A, found shape (1, 3)"),
+        ({"k_lin": [1, 2, 3]}, "k_lin must have 1 row of 2 numbers to fit B and A, found shape (1, 3)"),
+        ({"K": 1979}, "K must be rows of numbers, found 1979"),
+        ({"K": [[1, 2, 3]]}, "K must have 1 row of 2 numbers to fit B and A, found shape (1, 3)"),
         ({"K": [1, 2], "lqr": {"Q": [1, 1], "R": [1]}}, "a system has lqr or K, found both"),
         ({"name": "two tanks"}, "name must be a short C identifier, found 'two tanks'"),
         ({"name": 3}, "name must be a text, found 3"),
         ({"states": ["a"]}, "states must be 2 names to fit the matrices, found 1"),
         ({"states": ["a", "a [m]"]}, "states must have different names, found 'a' twice"),
-        ({"states": ["a", ""]}, "a quantity must be a printable name and perhaps a [unit], found ''"),
+        ({"states": ["a", ""]}, "each of states must be a printable name and perhaps a [unit], found ''"),
         ({"states": ["a", "b\n"], "inputs": ["b"]}, "inputs must have other names than states and outputs, found 'b' twice"),
         ({"states": "ab"}, "states must be a list of texts, found 'ab'"),
         ({"states": ["a", 1]}, "each of states must be a text, found 1"),
         ({"outputs": ["y", "z"]}, "outputs must come with C; without C the states are measured"),
-        ({"limits": [1, 2]}, "limits must be 1 numbers to fit the matrices, found shape (2,)"),
-        ({"limits": [[2, 1]]}, "limits must be apart, lower below upper, found [2.] and [1.]"),
-        ({"limits": [[1, 2]]}, "limits must leave room around the inputs at the equilibrium, found [0.]"),
+        ({"limits": [1, 2]}, "limits must be as many as inputs, 1, found 2"),
+        ({"limits": [[2, 1]]}, "limits must be apart, lower below upper, found 2 and 1 for u1"),
+        ({"limits": [[1, 2]]}, "limits must leave room around the inputs at the equilibrium, found 1 and 2 around u1 = 0"),
         ({"limits": 1}, "limits must be a number or [lower, upper] per input, found 1"),
         ({"limits": [[1, 2, 3]]}, "limits must be a number or [lower, upper] per input, found [[1, 2, 3]]"),
-        ({"resolutions": [1e-3]}, "resolutions must be 2 numbers to fit the matrices, found shape (1,)"),
+        ({"resolutions": [1e-3]}, "resolutions must be as many as outputs, 2, found 1"),
         ({"resolutions": [1e-3, -1.0]}, "resolutions must not be negative, found -1"),
         ({"deviations": [float("inf"), 0]}, "deviations must be finite, found inf"),
         ({"sample_time": 0}, "sample_time must be positive and finite [s], found 0.0"),
@@ -108,12 +111,17 @@ def test_names_carry_units(text, name, unit):
         ({"set_points": ["x3"]}, "set_points must name outputs, found 'x3'"),
         ({"biases": ["x1", "x1"]}, "biases must have different names, found 'x1' twice"),
         ({"equilibrium": {"state": [0]}}, "equilibrium must be a table of states, inputs, outputs, found {'state': [0]}"),
-        ({"equilibrium": {"states": [0]}}, "x_eq must be 2 numbers to fit the matrices, found"),
+        ({"equilibrium": {"states": [0]}}, "equilibrium.states must be as many as states, 2, found 1"),
+        ({"equilibrium": {"inputs": [float("nan")]}}, "equilibrium.inputs must be finite, found nan"),
+        ({"equilibrium": {"outputs": [1, 0]}}, "equilibrium.outputs must be left out without C, as the outputs are the "),
         ({"equilibrium": {"states": 0}}, "equilibrium.states must be a list of numbers, found 0"),
         ({"lqr": {"Q": [1, 1]}}, "lqr must be a table of Q and R, found {'Q': [1, 1]}"),
-        ({"lqr": {"Q": [1], "R": [1]}}, "lqr.Q must be 2 numbers, or a symmetric matrix of that size, found"),
-        ({"lqr": {"Q": [1, -1], "R": [1]}}, "lqr.Q must be positive semidefinite"),
-        ({"lqr": {"Q": [1, 1], "R": [0]}}, "lqr.R must be positive definite"),
+        ({"lqr": {"Q": 1, "R": [1]}}, "lqr.Q must be rows of numbers or a list of them, found 1"),
+        ({"lqr": {"Q": [1], "R": [1]}}, "lqr.Q must be 2 numbers, or a symmetric matrix of that size, found [1.0]"),
+        ({"lqr": {"Q": [[1, 2], [3, 4]], "R": [1]}}, "lqr.Q must be 2 numbers, or a symmetric matrix of that size"),
+        ({"lqr": {"Q": [1, -1], "R": [1]}}, "lqr.Q must be positive semidefinite, found the eigenvalue -1"),
+        ({"lqr": {"Q": [1, 1], "R": [0]}}, "lqr.R must be positive definite, found the eigenvalue 0"),
+        ({"integral": True}, 'integral must be rows of numbers or "direct", found true'),
         ({"statse": ["a", "b"]}, "a system has no entry 'statse'"),
     ],
 )  # fmt: skip
@@ -140,9 +148,9 @@ def test_model_must_be_there(missing):
 
 
 def state_space(**changes):
-    model: dict[str, Any] = {"A": np.array(A), "B": np.array(B), "C": np.array([[1.0, 0.0]]), "D": np.zeros((1, 1))}
-    labels = {"state_labels": ["angle", "rate"], "input_labels": ["torque"], "output_labels": ["encoder"]}
-    return SimpleNamespace(**{**model, "dt": 0, **labels, **changes})
+    model: dict[str, Any] = {"C": [[1.0, 0.0]], "D": 0.0, "dt": 0, "outputs": ["encoder"]} | changes
+    C, D, dt = (model.pop(name) for name in ("C", "D", "dt"))
+    return control.ss(A, B, C, D, dt, states=["angle", "rate"], inputs=["torque"], **model)
 
 
 def test_state_space_comes_with_its_labels():
@@ -155,16 +163,25 @@ def test_state_space_comes_with_its_labels():
 
 
 def test_unit_matrix_as_output_stands_for_measured_states():
-    model = state_space(C=np.eye(2), D=np.zeros((2, 1)), output_labels=["y[0]", "y[1]"])
-    s = System.from_state_space(model)
-    assert s.measures_state
-    assert s.outputs == s.states
+    for model in (state_space(C=np.eye(2), outputs=None), scipy.signal.StateSpace(A, B, np.eye(2), np.zeros((2, 1)))):
+        s = System.from_state_space(model)
+        assert s.measures_state
+        assert s.outputs == s.states
 
 
 @pytest.mark.parametrize(("law", "sign"), [("u = K x", 1.0), ("u = -K x", -1.0)])
 def test_gain_has_the_sign_that_is_told(law, sign):
     K = np.array([[-1.0, -2.0]])
     np.testing.assert_array_equal(System.from_state_space(state_space(), K, law).K, sign * K)
+
+
+def test_gain_of_another_toolbox_is_that_of_lqr_with_its_sign_told():
+    model, Q, R = state_space(), np.diag([4.0, 1.0]), np.array([[0.5]])
+    K, _, poles = control.lqr(model, Q, R)
+    found: Any = System.from_state_space(model, K, "u = -K x")
+    own: Any = System.from_state_space(model).with_lqr(Q, R)
+    np.testing.assert_allclose(found.K, own.K, rtol=1e-9)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(found.A + found.B @ found.K)), np.sort(poles), rtol=1e-9)
 
 
 @pytest.mark.parametrize("law", [None, "", "u=-Kx", -1])
@@ -178,12 +195,14 @@ def test_sign_of_a_gain_is_never_guessed(law):
     [
         ({"dt": 0.01}, r"must be in continuous time, found dt = 0\.01"),
         ({"dt": True}, r"must be in continuous time, found dt = True"),
-        ({"D": [[1.0]]}, r"must have D = 0"),
+        ({"D": [[1.0]]}, r"^the model must have D = 0, found 1 from torque to encoder$"),
     ],
 )
 def test_models_of_another_kind_are_refused(changes, message):
     with pytest.raises(UserError, match=message):
         System.from_state_space(state_space(**changes))
+    with pytest.raises(UserError, match=r"^the model must have A, B, C and D, found a TransferFunction$"):
+        System.from_state_space(control.tf([1], [1, 1]))
 
 
 # Files

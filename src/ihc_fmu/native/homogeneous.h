@@ -221,6 +221,31 @@ static inline int solve(double *M, double *B, int n, int columns)
 
 /* ---- Preparation ------------------------------------------------------------------------------------------------- */
 
+/* The size of the first leading block of P (n, n), given by the rows of its upper triangle, that is not positive definite;
+ * 0 where none is. */
+static inline int indefinite_block(const double *upper, int n)
+{
+    double P[BLOCK_SQUARE];
+    int entry = 0;
+    for (int i = 0; i < n; i++) {
+        for (int j = i; j < n; j++) {
+            P[i * n + j] = P[j * n + i] = upper[entry++];
+        }
+    }
+    for (int k = 0; k < n; k++) {
+        if (!(P[k * n + k] > 0.0)) {
+            return k + 1;
+        }
+        for (int i = k + 1; i < n; i++) {
+            const double factor = P[i * n + k] / P[k * n + k];
+            for (int j = k; j < n; j++) {
+                P[i * n + j] -= factor * P[k * n + j];
+            }
+        }
+    }
+    return 0;
+}
+
 /* B <- T^-T B. */
 static inline int solve_transposed(const double *T, double *B, int n, int columns)
 {

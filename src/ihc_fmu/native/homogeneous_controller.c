@@ -77,6 +77,9 @@ regulator_status regulator_prepare(const regulator_params *p, regulator_prepared
     if (!are_exponents(p->exponent, n)) {
         return REGULATOR_EXPONENTS;
     }
+    if (indefinite_block(p->P, n)) {
+        return REGULATOR_INDEFINITE_P;
+    }
     take_design(p, &q->design);
     if (!prepare_block_design(&q->design) || !take_integral(p, q)) {
         return REGULATOR_SINGULAR_T;

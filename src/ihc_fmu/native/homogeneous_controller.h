@@ -25,6 +25,7 @@ typedef enum {
     REGULATOR_OK = 0,
     REGULATOR_NEW_FAULT,          /* the step worked; the controller has just faulted, see the output `fault` */
     REGULATOR_EXPONENTS,          /* the exponents are not those of blocks */
+    REGULATOR_INDEFINITE_P,       /* P is not positive definite */
     REGULATOR_SINGULAR_T,         /* T is not regular */
     REGULATOR_BLOCKS_NOT_FINITE,  /* T, P or the gains are beyond reason */
     REGULATOR_BOUNDS,             /* a_min exceeds b_max */

@@ -77,6 +77,10 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
     case REGULATOR_EXPONENTS:
         snprintf(text, size, "the exponents must fall by 0 or 1 from coordinate to coordinate, to 0");
         break;
+    case REGULATOR_INDEFINITE_P:
+        i = indefinite_block(p->P, p->state_count);
+        snprintf(text, size, "P must be positive definite, found that its leading %d x %d block is not", i, i);
+        break;
     case REGULATOR_SINGULAR_T:
         snprintf(text, size, "T must be regular, found a singular matrix");
         break;

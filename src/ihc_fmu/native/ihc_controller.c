@@ -156,6 +156,9 @@ static int to_chain(const ihc_params *p, block_design *d)
 
 ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
 {
+    if (indefinite_block(p->P, N)) {
+        return IHC_INDEFINITE_P;
+    }
     if (!to_chain(p, &q->design)) {
         return IHC_SINGULAR_PHI;
     }

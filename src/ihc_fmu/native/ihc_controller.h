@@ -24,6 +24,7 @@
 typedef enum {
     IHC_OK = 0,
     IHC_NEW_FAULT,            /* the step worked; the controller has just faulted, see the output `fault` */
+    IHC_INDEFINITE_P,         /* P is not positive definite */
     IHC_SINGULAR_PHI,         /* Phi is not regular */
     IHC_CHAIN_NOT_FINITE,     /* Phi, P or the gains are beyond reason */
     IHC_SINGULAR_MODEL,       /* the nominal inertia matrix is singular in rounding */

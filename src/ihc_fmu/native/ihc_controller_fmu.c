@@ -62,10 +62,15 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
 {
     const ihc_params *p = parameters;
     const ihc_state *s = state;
+    int order;
     switch (status) {
     case IHC_NEW_FAULT:
         explain_fault(names, s, inputs, text, size);
         return FMU_WARNING;
+    case IHC_INDEFINITE_P:
+        order = indefinite_block(p->P, IHC_ORDER);
+        snprintf(text, size, "P must be positive definite, found that its leading %d x %d block is not", order, order);
+        break;
     case IHC_SINGULAR_PHI:
         snprintf(text, size, "Phi must be regular, found a singular matrix");
         break;

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..system import Quantity, System
+from ..system import PENDULUM, Quantity, System
 
 PAPER_A = ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 149.2751, -0.0104, 0.0), (0.0, 261.6091, -0.0103, 0.0))
 PAPER_B = (0.0, 0.0, 49.7275, 49.1493)
@@ -16,7 +16,7 @@ def paper_system() -> System:
     """Return model and controller with names and units."""
     states = zip(("theta", "delta", "theta_dot", "delta_dot"), ("rad", "rad", "rad/s", "rad/s"), strict=True)
     return System(
-        name="rotary_pendulum",
+        name=PENDULUM,
         A=np.array(PAPER_A),
         B=np.array(PAPER_B),
         K=np.array(PAPER_K_LIN),

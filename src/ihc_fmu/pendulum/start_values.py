@@ -15,6 +15,7 @@ from ..companion import chain_form
 from ..design import Design
 from ..homogeneity import dot, solve
 from ..sliding_mode import SlidingMode, fitted_smc
+from ..system import PENDULUM
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
 from .kalman import kalman_gain, linearize
@@ -42,9 +43,17 @@ def nominal_values(p: QubeParameters) -> dict[str, Value]:
 
 
 def check_order(design: Design) -> None:
-    """Raise UserError for a design of another order than the FMU's four states."""
-    if design.n != ORDER:
-        raise UserError(f"the controller FMU takes designs of order {ORDER}, found order {design.n}")
+    """Raise UserError for a design of another order than the FMU's four states, or of several inputs.
+
+    Where it is the system's name that brought it here, the sentence says so.
+    """
+    n, m = design.n, design.system.m
+    if (n, m) != (ORDER, 1):
+        name = design.system.name
+        why = f"; without the name {PENDULUM} the system is exported for itself" if name == PENDULUM else ""
+        raise UserError(
+            f"the rotary pendulum's controller takes designs of {ORDER} states and 1 input, found {n} and {m}{why}"
+        )
 
 
 def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit: float = 10.0) -> dict[str, Value]:

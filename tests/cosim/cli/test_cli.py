@@ -82,6 +82,16 @@ def test_direct_design_tells_its_control(tmp_path):
     assert "largest feasible" not in said
 
 
+def test_a_system_with_the_pendulums_name_that_is_none_is_told_that_the_name_is_why(tmp_path):
+    system = "A = [[0, 1, 0], [0, 0, 1], [0, 0, 0]]\nb = [0, 0, 1]\nk_lin = [-6, -11, -6]\n"
+    (tmp_path / "rotary_pendulum.toml").write_text(system, "utf-8")
+    accepted("design", "--system", "rotary_pendulum.toml", "-o", "mine.json", cwd=tmp_path)
+    assert refused("export", "--design", "mine.json", cwd=tmp_path) == (
+        "the rotary pendulum's controller takes designs of 4 states and 1 input, found 3 and 1; without the name "
+        "rotary_pendulum the system is exported for itself"
+    )
+
+
 def test_design_export_run_compare(tmp_path):
     said = accepted("design", "--mu", "0.5", "--alpha", "0.3", "--u-max", "3", "-o", "my design.json", cwd=tmp_path)
     assert re.search(r"largest feasible alpha for this gain and mu: 0\.43\d* 1/s", said)
@@ -236,6 +246,26 @@ def test_ten_integrators_are_designed_and_exported(tmp_path):
     assert re.search(r"chosen: alpha = 0\.01\d* 1/s: half of the largest", said)
     accepted("export", "--design", "ten.json", cwd=tmp_path)
     assert files(tmp_path / "fmus") == ["ten.ssp", "ten_controller.fmu", "ten_linear_plant.fmu"]
+    quiet = ("--set", "run.duration=0.01", "--no-plot")
+    beside = ("--set", "controller.start.K_1_1=-2", "--set", "controller.start.P_1_1=1e9")
+    for options, note in (
+        (
+            (),
+            "nothing moved: all was at rest where it began; change a start value, as with --set plant.start.x1_0=..., ",
+        ),
+        (
+            ("--set", "plant.start.x2_0=1e-9", *beside),
+            "K_1_1, P_1_1 differ from the design's: its certificate does not ",
+        ),
+        (("--set", "plant.start.x2_0=1e-9"), ""),
+    ):
+        done = ended("run", "fmus/ten.ssp", *quiet, *options, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stderr.strip().startswith(f"note: {note}" if note else "")
+        assert done.stderr.count("note: ") == bool(note)
+    changed = ("--kind", "python", "-o", "python", "--set", "controller.mu=0.75")
+    done = ended("export", "--design", "ten.json", *changed, cwd=tmp_path)
+    assert done.stderr == "note: mu differs from the design's: its certificate does not cover it\n"
     accepted("export", "--design", "ten.json", "--kind", "python", "-o", "python", cwd=tmp_path)
     assert files(tmp_path / "python") == files(tmp_path / "fmus")
     start = {"plant.fmu": "ten_linear_plant.fmu", "plant.start.x1_0": 1e-3, "controller.fmu": "ten_controller.fmu"}

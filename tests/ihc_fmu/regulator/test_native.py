@@ -143,6 +143,8 @@ def test_all_inputs_that_are_not_finite_are_named(both):
         ({"a_min": 1.25, "b_max": 1.125}, "a_min must not exceed b_max, found a_min = 1.25 and b_max = 1.125"),
         ({"lower_2": 3.0, "upper_2": 2.5}, "lower_2 must not exceed upper_2, found 3 and 2.5"),
         ({"T_1": 0.0, "T_2": 0.0, "T_3": 0.0}, "T must be regular, found a singular matrix"),
+        ({"P_1": -1.0}, "P must be positive definite, found that its leading 1 x 1 block is not"),
+        ({"P_5": 1e9}, "P must be positive definite, found that its leading 3 x 3 block is not"),
         ({"exponent_1": 5}, "the exponents must fall by 0 or 1 from coordinate to coordinate, to 0"),
         ({"exponent_3": 1}, "the exponents must fall by 0 or 1 from coordinate to coordinate, to 0"),
         ({"estimator": 3, "q_min": 2.0, "q_max": 1.5}, "q_min must not exceed q_max, found q_min = 2 and q_max = 1.5"),
@@ -160,7 +162,20 @@ def test_all_inputs_that_are_not_finite_are_named(both):
             "P and the gains must be of moderate size, found block coordinates that are not finite",
         ),
     ],
-    ids=["bounds", "limits", "T", "exponent", "last", "errors", "observer", "outputs", "time", "sizes"],
+    ids=[
+        "bounds",
+        "limits",
+        "T",
+        "P",
+        "P as a whole",
+        "exponent",
+        "last",
+        "errors",
+        "observer",
+        "outputs",
+        "time",
+        "sizes",
+    ],
 )
 def test_values_that_contradict_each_other_are_refused_by_both_with_the_same_words(changes, words, whole):
     values = random_regulator(3, 2, 2).values() | changes

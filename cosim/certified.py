@@ -1,0 +1,46 @@
+"""Which start values of a controller FMU its design's certificate is about, and whether they were changed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from ihc_fmu.pendulum.interface import matrix, upper_triangle, vector
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
+_PENDULUM = {*matrix("Phi"), *upper_triangle("P"), *vector("row"), *vector("k_lin"), "mu"}
+_ANY = re.compile(r"[KP]_\d+_\d+|mu")
+SHOWN = 3
+"""Most names in a sentence."""
+
+
+def certified_names(own: Mapping[str, Any]) -> list[str]:
+    """Return the start values that a certificate is about; none of an FMU, with these start values, that has none."""
+    if own.keys() >= _PENDULUM:
+        return [name for name in own if name in _PENDULUM]
+    return [name for name in own if _ANY.fullmatch(name)] if {"K_1_1", "P_1_1", "mu"} <= own.keys() else []
+
+
+def remarks(own: Mapping[str, Any], chosen: Mapping[str, Any]) -> list[str]:
+    """Return in a sentence that `chosen` start values differ from those of the design in `own`; nothing where none does."""
+    changed = [name for name in certified_names(own) if name in chosen and chosen[name] != own[name]]
+    if not changed:
+        return []
+    more = len(changed) - SHOWN
+    names = ", ".join(changed[:SHOWN]) + (f" and {more} more" if more > 0 else "")
+    differ, them = ("differs", "it") if len(changed) == 1 else ("differ", "them")
+    return [f"{names} {differ} from the design's: its certificate does not cover {them}"]
+
+
+def start_values(design: Design) -> dict[str, Any]:
+    """Return the start values that the controller FMU of a design has from it."""
+    from ihc_fmu.controller import regulator_of  # noqa: PLC0415 - heavy
+    from ihc_fmu.pendulum.start_values import design_values  # noqa: PLC0415
+    from ihc_fmu.system import PENDULUM  # noqa: PLC0415
+
+    if design.system.name == PENDULUM:
+        return dict(design_values(design))
+    return {v.name: v.start for v in regulator_of(design).exported()[0].variables}
