@@ -49,5 +49,5 @@ def test_errors_on_the_edge_of_what_is_proven_vanish_inside(nu):
 def test_what_is_not_proven_is_said():
     nowhere = design(arm(ObserverWish(L=GAIN, nu=-0.49)), 1.0, 0.3)
     assert prove(homogeneous_observer(nowhere), nowhere.extent) is None
-    assert "has no proof" in remark(nowhere)
-    assert "errors vanish from an ellipsoid that reaches to" in remark(design(arm(ObserverWish(L=GAIN)), 1.0, 0.3))
+    assert "no proof was found" in remark(nowhere)
+    assert "errors vanish within an ellipsoid that reaches to" in remark(design(arm(ObserverWish(L=GAIN)), 1.0, 0.3))
