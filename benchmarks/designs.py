@@ -3,8 +3,9 @@
     python -m benchmarks.designs [--systems N] [--first SEED] [--orders N ...] [--per-order N]
 
 Each system is designed from its linear controller (inverse) and without one (direct). Printed: how many designs were
-found, refuted by the dual, and left undecided; the time of a design over the order; and every design's proof computed anew
-by recheck.py. A system that is not found or refuted is named with its seed.
+found, refuted by the dual, and left undecided; the time of a design over the order; how far the design of the same system
+in other units is; and every design's proof computed anew by recheck.py. A system that is not found or refuted is named
+with its seed.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from time import perf_counter
 
 import numpy as np
 
-from benchmarks.random_systems import Drawn, drawn
+from benchmarks.random_systems import Drawn, distance, drawn
 from benchmarks.recheck import Recheck, recheck
 from fmu_export.errors import UserError
 from ihc_fmu.design import Design
@@ -26,6 +27,8 @@ from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.synthesis import Options, direct_design, inverse_design
 
 METHODS: dict[str, Callable[..., Design]] = {"inverse": inverse_design, "direct": direct_design}
+SAME, ROUNDING = 1e-6, 1e-16
+"""Distance up to which designs are the same, and what rounding adds to it, times the condition of P."""
 OUTCOMES = ("found", "found, ball not maximized", "refuted", "undecided", "refused")
 
 
@@ -36,9 +39,11 @@ class Tally:
     outcomes: Counter[str] = field(default_factory=Counter)
     seconds: defaultdict[int, list[float]] = field(default_factory=lambda: defaultdict(list))
     rechecks: list[Recheck] = field(default_factory=list)
+    distances: list[float] = field(default_factory=list)
+    beyond_rounding: list[float] = field(default_factory=list)
     wanting: list[str] = field(default_factory=list)
 
-    def add(self, case: Drawn, design: Callable[..., Design]) -> None:
+    def add(self, case: Drawn, plain: Drawn, design: Callable[..., Design]) -> None:
         start = perf_counter()
         outcome, found, why = designed(case, design)
         self.seconds[case.system.n].append(perf_counter() - start)
@@ -51,6 +56,12 @@ class Tally:
         self.rechecks.append(proof)
         if not proof.holds:
             self.wanting.append(f"NOT PROVEN in 60 digits: {case.about}: {proof}")
+        other, same, _ = designed(plain, design)
+        if same is None or other != outcome:
+            self.wanting.append(f"{outcome}, but {other} in other units: {case.about}")
+        else:
+            self.distances.append(distance(found, same, case))
+            self.beyond_rounding.append(self.distances[-1] / max(SAME, ROUNDING / same.certificate.positive))
 
 
 def designed(case: Drawn, design: Callable[..., Design]) -> tuple[str, Design | None, str]:
@@ -78,11 +89,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for seed, n in cases:
         case = drawn(seed, n)
         for name, design in METHODS.items():
-            (large if n else tallies)[name].add(case, design)
+            (large if n else tallies)[name].add(case, drawn(seed, n, units=False), design)
     print_outcomes(tallies, f"{options.systems} systems, n 2..8, m 1..3")
     if options.orders:
         print_outcomes(large, f"{options.per_order} systems of each n = {', '.join(map(str, options.orders))}")
     print_seconds(tallies, large)
+    print_distances(tallies, large)
     print_proofs([tally for both in (tallies, large) for tally in both.values()])
     wanting = [line for both in (tallies, large) for tally in both.values() for line in tally.wanting]
     print(*wanting, sep="\n")
@@ -103,6 +115,21 @@ def print_seconds(*groups: dict[str, Tally]) -> None:
         for n in sorted({n for tally in group.values() for n in tally.seconds}):
             cells = (f"{np.median(t.seconds[n]):.2f}, {max(t.seconds[n]):.2f}" for t in group.values())
             print(f"{n:4}" + "".join(f"{cell:>20}" for cell in cells))
+
+
+def print_distances(*groups: dict[str, Tally]) -> None:
+    print(
+        f"\nDistance of the same system's design in other units, median and largest; how many are beyond {SAME:g}, and how"
+    )
+    print(
+        f"many of these beyond what rounding of P may do, {ROUNDING:g} over its smallest eigenvalue relative to the largest:"
+    )
+    for name in METHODS:
+        found = np.array([d for tallies in groups for d in tallies[name].distances])
+        beyond = np.array([d for tallies in groups for d in tallies[name].beyond_rounding])
+        if len(found):
+            counts = f"{(found > SAME).sum()}, {(beyond > 1.0).sum()} of {len(found)}"
+            print(f"{name:>10}: {np.median(found):.1e}, {found.max():.1e}; {counts}")
 
 
 def print_proofs(tallies: Sequence[Tally]) -> None:

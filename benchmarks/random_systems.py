@@ -12,6 +12,7 @@ from scipy.signal import place_poles
 
 from fmu_export.errors import UserError
 from ihc_fmu.block_form import block_form
+from ihc_fmu.design import Design
 from ihc_fmu.system import System
 
 Array = np.ndarray
@@ -30,13 +31,15 @@ NEAR = 1e-3
 class Drawn:
     """A system with its gain, alpha [1/s] and bounds u_max (m,) to ask for, and how it was drawn.
 
-    The state is `units` times that of the same system drawn without units, and time runs `omega` times as fast.
+    State and input are `units` and `inputs` times those of the same system drawn without units, and time runs `omega` times
+    as fast.
     """
 
     system: System
     alpha: float
     u_max: Array
     units: Array
+    inputs: Array
     omega: float
     about: str
 
@@ -60,7 +63,18 @@ def drawn(seed: int, n: int | None = None, units: bool = True) -> Drawn:
     slowest = -np.linalg.eigvals(A + B @ K).real.max()
     system = System(A=omega * A * x[:, None] / x, B=omega * B * x[:, None] / u, K=K * u[:, None] / x)
     about = f"seed {seed}: n {n}, m {m}, {kind}, {gain}, alpha {share:g} of the slowest pole"
-    return Drawn(system, share * slowest * omega, u_max, x, omega, about)
+    return Drawn(system, share * slowest * omega, u_max, x, u, omega, about)
+
+
+def distance(design: Design, plain: Design, case: Drawn) -> float:
+    """Return how far the design of a case is from that of the same system without units, relative to the latter's unit ball.
+
+    Of P, and of K - K_0 relative to its bounds: 0 for designs that differ in units only.
+    """
+    x, to_y = case.units, np.linalg.inv(np.linalg.cholesky(plain.P))
+    P = to_y @ (x[:, None] * design.P * x) @ to_y.T
+    K = (design.K / case.inputs[:, None] * x - plain.K) @ to_y.T / plain.u_max[:, None]
+    return max(float(np.linalg.norm(P - np.eye(len(P)), 2)), float(np.abs(K).max()))
 
 
 def _matrices(rng: np.random.Generator, kind: str, n: int, m: int) -> tuple[Array, Array]:

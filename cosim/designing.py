@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from fmu_export.variables import did_you_mean
 from ihc_fmu.design import Design
 from ihc_fmu.integral import largest_mu
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha
+from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha, largest_alpha_of
 from ihc_fmu.system import System
 
 from .errors import UserError
@@ -62,7 +64,7 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]
         )
     try:
         choice = chosen_options(system, wish.mu, wish.alpha, u_max, say, **rest)
-        return inverse_design(system, choice.options, say), choice.reasons
+        return inverse_design(system, choice.options, say, choice.start), choice.reasons
     except InfeasibleError as error:
         raise _explained(system, wish, error, say) from None
 
@@ -87,12 +89,20 @@ def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> 
     return UserError(f"{error}, although a P exists up to alpha = {largest:.4g} 1/s")
 
 
-def largest(design: Design, say: Say) -> str:
-    """Return the largest alpha for the design's gain and mu as text."""
+def prospect(design: Design, direct: bool, say: Say) -> str:
+    """Return what else is possible: the largest alpha for the gain and mu; of a direct design what control it takes."""
+    if direct:
+        K, inputs = design.K, design.system.inputs
+        most = np.sqrt(np.einsum("ij,ji->i", K, np.linalg.solve(design.P, K.T)))
+        parts = (
+            f"|{q.name}| <= {u:.4g}{'' if q.unit == '1' else ' ' + q.unit}" for u, q in zip(most, inputs, strict=True)
+        )
+        return f"on the unit ball {', '.join(parts)}; any alpha has a solution, a larger one with a smaller ball"
     try:
-        return f"{largest_alpha(design.system, design.mu, say=say):.4g} 1/s"
+        found = f"{largest_alpha_of(design, say):.4g} 1/s"
     except InfeasibleError as error:
-        return f"not found: {error}"
+        found = f"not found: {error}"
+    return f"largest feasible alpha for this gain and mu: {found}"
 
 
 def _index(system: System, wish: Wish) -> int:

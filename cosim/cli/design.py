@@ -61,7 +61,7 @@ def design(
     """Turn a linear controller into an implicit homogeneous one and prove it by matrix inequalities.
 
     Without options this is the paper's example. The numbers, why they were chosen, their certificate and the largest
-    feasible alpha are printed; the file goes into `export --design`.
+    feasible alpha, or the control of a direct design, are printed; the file goes into `export --design`.
     """
     from .. import designing
 
@@ -74,5 +74,5 @@ def design(
         found, reasons = designing.find(*designing.system_and_wish(system, wish), shown.update)
         found.save(path)
         print_design(found, reasons)
-        console.print(f"largest feasible alpha for this gain and mu: {escaped(designing.largest(found, shown.update))}")
+        console.print(escaped(designing.prospect(found, wish.direct, shown.update)))
     console.print(f"wrote {escaped(path)}")

@@ -78,6 +78,7 @@ def export(
     """
     from ihc_fmu.controller import resampled
     from ihc_fmu.estimation import remarks as remarks_of
+    from ihc_fmu.observer import remark as of_observer
     from ihc_fmu.pendulum.start_values import default_design
     from ihc_fmu.system import PENDULUM
 
@@ -119,6 +120,8 @@ def export(
             found = resampled(found, changes["controller"].get("sample_time"))
             paths = export_system(found, output, changes, kind, names, building, shown)
             say_notes(remarks_of(found))
+            if found.system.observer is not None:
+                say_notes([of_observer(found)])
     say_notes(certified.remarks(certified.start_values(found), changes["controller"]))
     for path in paths:
         console.print(f"wrote {escaped(path)}")

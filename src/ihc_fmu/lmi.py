@@ -15,7 +15,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -55,18 +55,25 @@ class InfeasibleError(UserError):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The inequalities in some coordinates y: A_cl (n, n) in scaled time, E (n, n), beta, and x = S y with S (n, n)."""
+    """The inequalities in some coordinates y: A_cl (n, n) in scaled time, E (n, n), B (n, m), beta; x = S y, y = R x.
+
+    R (n, n), the inverse of S, is carried along: P = R' R, where y' y serves, is right to rounding however flat it is in x.
+    """
 
     closed: Array
     E: Array
+    B: Array
     S: Array
+    R: Array
     beta: float
 
     def to(self, P: Array) -> Problem:
         """Return the problem in coordinates in which y' P y is a sum of squares; LinAlgError unless P > 0."""
         L_t = np.linalg.cholesky((P + P.T) / 2).T
         inverse = np.linalg.inv(L_t)
-        return replace(self, closed=L_t @ self.closed @ inverse, E=L_t @ self.E @ inverse, S=self.S @ inverse)
+        return Problem(
+            L_t @ self.closed @ inverse, L_t @ self.E @ inverse, L_t @ self.B, self.S @ inverse, L_t @ self.R, self.beta
+        )
 
     def both(self, mu: float, a: float) -> tuple[Array, Array]:
         """Return M and beta I - W, of which P is to be a common Lyapunov function."""
@@ -76,6 +83,12 @@ class Problem:
     def margin(self, mu: float, a: float) -> float:
         """Return by how much P = I satisfies both inequalities, relative to their matrices; negative where it does not."""
         return min(-float(np.linalg.eigvalsh(F + F.T)[-1]) / _size(F) for F in self.both(mu, a))
+
+
+def flatness(problem: Problem) -> float:
+    """Return lambda_min/lambda_max of P = R' R with its diagonal scaled to 1."""
+    values = np.linalg.svd(problem.R / np.linalg.norm(problem.R, axis=0), compute_uv=False)
+    return float(values[-1] / values[0]) ** 2
 
 
 def _size(F: Array) -> float:
@@ -210,14 +223,20 @@ def search(problem: Problem, mu: float, a: float, limit: Limit, least: float = L
         there, s = walk(start, lambda s, first=first: (s * mu, first), limit)
         found = Search(there, s * mu, first, complete=s >= 1.0)
         if found.complete and first < a:
-            ratio = min(a, rate) / first
-            there, s = walk(there, lambda s, first=first, ratio=ratio: (mu, first * ratio**s), limit, least)
-            found = Search(there, mu, first * ratio**s, complete=s >= 1.0 and a <= rate)
+            found = faster(there, mu, (first, a), limit, least)
         if found.complete:
             return found
         if (found.mu, found.a) > (best.mu, best.a):
             best = found
     return best
+
+
+def faster(problem: Problem, mu: float, a: tuple[float, float], limit: Limit, least: float) -> Search:
+    """Return a P for (mu, a[1]), or how far one was found, from a problem in which P = I serves for (mu, a[0])."""
+    rate = decay(problem)
+    first, ratio = a[0], max(1.0, min(a[1], rate) / a[0])
+    there, s = walk(problem, lambda s: (mu, first * ratio**s), limit, least)
+    return Search(there, mu, first * ratio**s, complete=s >= 1.0 and a[1] <= rate)
 
 
 def decay(problem: Problem) -> float:

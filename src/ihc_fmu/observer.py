@@ -7,31 +7,35 @@ of q the error z - x is homogeneous of degree nu, and at q = q_linear the observ
 Hurwitz: smaller errors meet larger gains. q is limited to [q_min, q_max], which bounds them.
 
 What is checked is that A + L C is Hurwitz, and nu_min <= nu <= 0: down to nu_min the dilation I + nu G_0 is monotone with a
-margin for the Lyapunov function of A + L C, and S (C z - y) is bounded near q = 0. That is no proof: convergence follows
-for nu = 0 and, by continuity, near it; for other nu it does not, nor for the law that takes the estimate.
+margin for the Lyapunov function of A + L C, and S (C z - y) is bounded near q = 0. That is no proof. `observer_proof` looks
+for one: that without noise every error of a stated ellipsoid vanishes. It says nothing of the law that takes the estimate.
 
 Source: A. Polyakov, Generalized Homogeneity in Systems and Control, Springer 2020, and the authors' toolbox.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
+from scipy.signal import place_poles
 
 from fmu_export.errors import UserError
 
-from .block_form import BlockForm, block_form
+from .block_form import BlockForm, block_form, scaling
 from .design import Design
 from .estimation import estimator, noise
+from .observer_proof import prove
 from .regulator.start_values import Observer
 from .system import ObserverWish, System
 
 Array = np.ndarray
 
-SHARE_OF_DEGREE = 0.5
-"""nu, where none is given, relative to nu_min."""
+SHARES_OF_DEGREE = (0.5, 0.25, 0.125, 0.0)
+"""nu, where none is given, relative to nu_min: the first one that is proven; without a proof the first."""
 SHARE_OF_ERROR, DEVIATIONS = 0.01, 3.0
 """q_min, where none is given: this share of q_max, but not below so many standard deviations of the sensors' noise."""
 
@@ -39,7 +43,8 @@ SHARE_OF_ERROR, DEVIATIONS = 0.01, 3.0
 def homogeneous_observer(design: Design) -> Observer:
     """Return the observer that the system of a design asks for; what its wish leaves open is chosen.
 
-    L: of a steady-state Kalman filter without disturbances, for the sensors' noise. nu: half of nu_min. q_max: the largest
+    L: of a steady-state Kalman filter without disturbances, for the sensors' noise. nu: half of nu_min, or a quarter or an
+    eighth of it, or 0, the first one with a proof that errors vanish. q_max: the largest
     |C x| on the unit ball; q_min: a hundredth of it or 3 standard deviations of the noise; q_linear: q_max. Raises UserError
     for a model that is not observable, an L for which A + L C is not Hurwitz, and a nu below nu_min.
     """
@@ -50,25 +55,45 @@ def homogeneous_observer(design: Design) -> Observer:
     L = _gain(design, wish)
     _check_hurwitz(A, C, L)
     lowest = least_degree(A, C, L, form, design.extent)
-    nu = SHARE_OF_DEGREE * lowest if wish.nu is None else wish.nu
-    if nu < lowest:
-        raise UserError(f"observer.nu must lie in [{lowest:.4g}, 0] for this gain, found {nu:g}")
-    q_min, q_max = _limits(design, wish)
+    if wish.nu is not None and wish.nu < lowest:
+        raise UserError(f"observer.nu must lie in [{lowest:.4g}, 0] for this gain, found {wish.nu:g}")
+    limits = _limits(design, wish)
+    if wish.nu is not None:
+        return _observer(design, wish, form, L, wish.nu, limits)
+    tried = [_observer(design, wish, form, L, share * lowest, limits) for share in SHARES_OF_DEGREE]
+    return next((found for found in tried if prove(found, design.extent) is not None), tried[0])
+
+
+def _observer(
+    design: Design, wish: ObserverWish, form: BlockForm, L: Array, nu: float, limits: tuple[float, float]
+) -> Observer:
+    q_min, q_max = limits
     L_0 = form.K_0.T
     powers = (q_max if wish.q_linear is None else wish.q_linear) ** (-nu * (1.0 + np.array(form.exponents)))
-    unit_gain = L_0 + form.T.T @ (powers[:, None] * (form.T_inverse.T @ (L - L_0)))
     return Observer(
-        A=A,
-        B=system.B,
-        C=C,
+        A=design.A,
+        B=design.B,
+        C=np.asarray(design.system.C),
         T=form.T,
         exponents=form.exponents,
         L_0=L_0,
-        L=unit_gain,
+        L=L_0 + form.T.T @ (powers[:, None] * (form.T_inverse.T @ (L - L_0))),
         nu=nu,
         q_min=q_min,
         q_max=q_max,
     )
+
+
+def remark(design: Design) -> str:
+    """Return what is proven of the observer that the system of a design asks for, a sentence."""
+    found = homogeneous_observer(design)
+    proof = prove(found, design.extent)
+    what = f"the homogeneous observer of degree nu = {found.nu:.3g}"
+    if proof is None:
+        return f"{what} is not proven: no proof was found that its errors vanish; a nu nearer to 0 may have one"
+    sizes = zip(design.system.states, proof.reach, strict=True)
+    reach = ", ".join(f"{q.name} {size:.3g}{'' if q.unit == '1' else ' ' + q.unit}" for q, size in sizes)
+    return f"{what} is proven, by eigenvalues: without noise errors vanish within an ellipsoid that reaches to {reach}"
 
 
 def least_degree(A: Array, C: Array, L: Array, form: BlockForm, sizes: Array) -> float:
@@ -100,6 +125,8 @@ def _gain(design: Design, wish: ObserverWish) -> Array:
     s = design.system
     if wish.L is not None:
         return wish.L
+    if wish.poles is not None:
+        return _placed(s.A, np.asarray(s.C), wish.poles)
     if wish.Q is not None and wish.R is not None:
         dual = System(A=s.A.T, B=np.asarray(s.C).T)
         try:
@@ -110,6 +137,23 @@ def _gain(design: Design, wish: ObserverWish) -> Array:
         return K.T
     found = estimator(replace(design, system=s.changed(observer=None, bandwidth=0.0)))
     return -found.M[: s.n] / s.sample_time
+
+
+def _placed(A: Array, C: Array, poles: Array) -> Array:
+    """Return L with the eigenvalues `poles` of A + L C, by SciPy's robust placement in scaled units."""
+    n = len(A)
+    if poles.shape != (n,):
+        raise UserError(f"observer.poles must be {n} numbers, one for each state, found {poles.size}")
+    by = scaling(A.T, C.T)
+    A_s = A.T * by.states / by.states[:, None] / by.omega
+    B_s = C.T * by.inputs / by.states[:, None] / by.omega
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # how robust it is does not matter; that A + L C is Hurwitz is checked
+            placed: Any = place_poles(A_s, B_s, poles / by.omega)
+    except ValueError as error:
+        raise UserError(f"observer.poles: {error}") from None
+    return -(by.inputs[:, None] * placed.gain_matrix / by.states).T
 
 
 def _check_hurwitz(A: Array, C: Array, L: Array) -> None:

@@ -12,90 +12,43 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, solve_continuous_lyapunov
+from scipy.optimize import brentq
 
 from fmu_export.errors import UserError
 
 from .block_form import BlockForm
-from .certificate import CertificateError
-from .design import Design, check_scalars
+from .design import Design
 from .integral import check_degree, largest_mu
-from .lmi import InfeasibleError, Limit, Problem, decay, is_refuted, search, solve
+from .largest_ball import FEWER_DIGITS, largest_ball
+from .lmi import MARGIN, InfeasibleError, Limit, Problem, decay, faster, flatness, is_refuted, search
+from .options import SCALES, Options
 from .system import QUIET, System
 
 Array = np.ndarray
 
-SCALES = (1e-9, 1e9)
-"""Bounds on what scales the problem: beyond, neither the solver nor double precision resolves it."""
-SLACK = 1e-6
-"""Strictness demanded of the solver, relative: its result must satisfy the inequalities after rounding."""
 SEARCH_TIME = 300.0
 """Longest time for one search [s]."""
-MULTIPLIERS = 25
-"""Values of tau that are tried for a matched disturbance."""
+FINE = 1e-5
+"""Share of the way, on a logarithmic scale, to which the largest alpha of a design is found."""
 FASTER, RATES = 3.0, 20
 """Factor between the rates that a direct design tries from alpha on, and their number."""
 MUS = (1.0, 0.75, 0.5, 0.25)
 """Degrees that are tried where none is given."""
 SHARE_OF_ALPHA, SHARE_OF_LIMIT, ROUGH = 0.5, 0.5, 1e-2
 """What is chosen: alpha relative to the largest one, which is found to ROUGH, and u_max relative to the limits' room."""
-ROUNDS, WIDEST, NARROWEST, SETTLED = 12, 1e6, 2.0, 0.05
-"""Of the largest unit ball: most programs, widest and narrowest bounds on X in each, and ln X that counts as no change."""
+FLAT = 1e-8
+"""Of P's eigenvalues, its diagonal scaled to 1: for flatter balls a direct design is made for a faster rate than alpha."""
 DIRECT_MARGIN = 1.2
 """Of the closed form of a direct design: it is for this multiple of alpha."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Options:
-    """What both designs take besides the model.
-
-    mu: homogeneity, (0, 1]. alpha [1/s]: decrease to be proven. u_max: bound on |(K - K_0) x| on the unit ball, a number
-    or one for each input, the scale of P. delta_max: instead or as well, a bound on |x_index| on it. beta:
-    G_d X + X G_d' >= 2 beta X, which keeps the dilation monotone with a margin. psi, d_max: the terms of Remark 3.
-    """
-
-    mu: float = 1.0
-    alpha: float = 0.2
-    u_max: float | Sequence[float] | None = 1.5
-    delta_max: float | None = None
-    index: int = 1
-    beta: float = 0.1
-    psi: float = 0.0
-    d_max: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_scalars(self.mu, self.alpha, self.psi, self.d_max)
-        if self.u_max is None and self.delta_max is None:
-            raise UserError("the scale of P needs a rule: u_max, delta_max or both")
-        bounds = [] if self.u_max is None else np.atleast_1d(np.asarray(self.u_max, dtype=float)).tolist()
-        sizes = [
-            *(("u_max", value) for value in bounds),
-            *([] if self.delta_max is None else [("delta_max", self.delta_max)]),
-        ]
-        for name, value in sizes:
-            if not 0.0 < value < np.inf:
-                raise UserError(f"{name} must be positive and finite, found {value}")
-        for name, value in (*sizes, ("psi", self.psi), ("d_max", self.d_max)):  # 0 is for none
-            if value and not SCALES[0] <= value <= SCALES[1]:
-                raise UserError(f"{name} must lie in [{SCALES[0]:g}, {SCALES[1]:g}], found {value}")
-        if not 0.0 < self.beta < 1.0:
-            raise UserError(f"beta must lie in (0, 1), found {self.beta}")
-
-    def bounds(self, m: int) -> Array | None:
-        """Return u_max for each of m inputs."""
-        if self.u_max is None:
-            return None
-        bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))
-        if bounds.shape not in ((1,), (m,)):
-            several = "" if m == 1 else f" or {m} numbers, one for each input"
-            raise UserError(f"u_max must be a number{several}, found {len(bounds)}")
-        return np.broadcast_to(bounds, (m,))
 
 
 Say = Callable[[str], object] | None
 
 
 @QUIET
-def inverse_design(system: System, options: Options | None = None, say: Say = None) -> Design:
+def inverse_design(
+    system: System, options: Options | None = None, say: Say = None, start: Problem | None = None
+) -> Design:
     """Return the IHC that equals the stabilizing LC u = K x of `system` on its unit sphere, eqs. (10) and (11).
 
     With X = P^-1 and A_cl = A + B K = A_0 + B (K - K_0): maximize log det X, the largest unit ball, subject to
@@ -103,9 +56,11 @@ def inverse_design(system: System, options: Options | None = None, say: Say = No
         A_cl X + X A_cl' + alpha (G_d X + X G_d') + disturbance terms <= 0,   G_d X + X G_d' >= 2 beta X,
         (K - K_0)_i X (K - K_0)_i' <= u_max_i^2   and/or   X_ii <= delta_max^2,
 
-    in coordinates in which a P that satisfies the inequalities, found by `search`, is the unit matrix. `say` is told how the
-    search goes. Raises UserError for a pair that is not controllable or a K that does not stabilize it, InfeasibleError
-    where no P is found for alpha, `numerical` where none is refuted either.
+    from a P that satisfies the inequalities: that of `start`, which a `Choice` has, or one found by `search`. The units of
+    states, inputs and time change nothing but by rounding: P relative to itself by 1e-6, or by 1e-16 over
+    `Certificate.positive` where that is more. `say` is told how the search goes. Raises UserError for a pair that is not
+    controllable or a K that does not stabilize it, InfeasibleError where no P is found for alpha, `numerical` where none is
+    refuted either.
     """
     options = options or Options()
     options.bounds(system.m)
@@ -113,12 +68,14 @@ def inverse_design(system: System, options: Options | None = None, say: Say = No
     problem, omega = _closed_loop(system, options.beta)
     a = options.alpha / omega
     what = f"alpha = {options.alpha:g} 1/s, mu = {options.mu:g}"
+    if start is not None and replace(start, beta=options.beta).margin(options.mu, a) > MARGIN:
+        return largest_ball(system, start, omega, options.alpha, options, what)
     found = search(problem, options.mu, a, Limit(SEARCH_TIME, say))
     if not found.complete:
         if is_refuted(found.problem, options.mu, a):
             raise InfeasibleError(f"{what}: the matrix inequalities have no solution")
         raise InfeasibleError(f"{what}: no solution of the matrix inequalities was found", numerical=True)
-    return _largest_ball(system, found.problem.S, omega, options, what)
+    return largest_ball(system, found.problem, omega, options.alpha, options, what)
 
 
 @QUIET
@@ -132,9 +89,9 @@ def direct_design(system: System, options: Options | None = None) -> Design:
 
         (A_0 + a G_d) X + X (A_0 + a G_d)' = 2 gamma B B',   Y = -gamma B',   a = 1.2 alpha,
 
-    whose X is positive definite for every controllable pair. For an alpha so slow that its unit ball, beside the
-    system's own motion, is flat beyond double precision, faster ones are tried: what decreases faster decreases at alpha
-    too. Raises as `inverse_design`.
+    whose X is positive definite for every controllable pair. For an alpha so slow that this unit ball, beside the system's
+    own motion, is flatter than FLAT, the design is for the first faster rate at which it is not, or for one with half of
+    the roundest ball's: what decreases faster decreases at alpha too. Raises as `inverse_design`.
     """
     options = options or Options()
     bounds = options.bounds(system.m)
@@ -142,31 +99,51 @@ def direct_design(system: System, options: Options | None = None) -> Design:
         raise UserError("a direct design needs u_max: without it K would grow beyond bounds")
     what = f"alpha = {options.alpha:g} 1/s, mu = {options.mu:g}"
     system = system.changed(K=None)
-    failed: InfeasibleError | None = None
-    for rate in options.alpha * FASTER ** np.arange(RATES):
+    rate = _rate(system, options, bounds)
+    return largest_ball(system, _closed_form(system, options, rate, bounds), rate, rate, options, what)
+
+
+def _rate(system: System, options: Options, bounds: Array) -> float:
+    """Return the smallest rate [1/s] from alpha on at which the unit ball in closed form is round enough."""
+
+    def roundness(rate: float) -> float:
         try:
-            S = _closed_form(system, options, float(rate), bounds)
-            return _largest_ball(system, S, float(rate), options, what)
-        except InfeasibleError as error:
-            failed = failed or error
-    assert failed is not None
-    raise failed
+            return flatness(_closed_form(system, options, rate, bounds))
+        except InfeasibleError:
+            return 0.0
+
+    rates = options.alpha * FASTER ** np.arange(RATES)
+    found = [roundness(float(rate)) for rate in rates]
+    wanted = min(FLAT, max(found) / 2)
+    first = next(i for i, value in enumerate(found) if value >= wanted)
+    if first == 0:
+        return options.alpha
+    low, high = rates[first - 1 : first + 1]
+    found_rate: Any = brentq(lambda rate: np.log(max(roundness(rate), 1e-300) / wanted), low, high)
+    return float(found_rate)
 
 
-def _closed_form(system: System, options: Options, rate: float, bounds: Array) -> Array:
-    """Return S for which x = S y has the unit ball y' y <= 1 of the direct design in closed form with alpha = `rate`."""
+def _closed_form(system: System, options: Options, rate: float, bounds: Array) -> Problem:
+    """Return the nilpotent system where y' y <= 1 is the unit ball of the direct design in closed form, alpha = `rate`."""
     form = _normal(system.form, rate)
+    problem = _problem(form, form.N / rate, options.beta)
     B = form.Bz / rate * bounds
-    F = form.N / rate + DIRECT_MARGIN * np.diag(form.weights(options.mu))
+    F = problem.closed + DIRECT_MARGIN * np.diag(form.weights(options.mu))
     try:
         X = solve_continuous_lyapunov(F, B @ B.T)
-        L = np.linalg.cholesky(X)
         size = float((B * np.linalg.solve(X, B)).sum(axis=0).max())
+        # X = 2 gamma X_1 with the gamma that makes the largest Y_i X^-1 Y_i' 1, in units of the bounds
+        return problem.to(np.linalg.inv(X) * size / 4.0)
     except (LinAlgError, ValueError):
-        message = f"alpha = {rate:g} 1/s, mu = {options.mu:g}: the direct design is beyond double precision"
+        message = (
+            f"alpha = {rate:g} 1/s, mu = {options.mu:g}: the direct design is beyond double precision; {FEWER_DIGITS}"
+        )
         raise InfeasibleError(message, numerical=True) from None
-    room = 4.0 / size  # X = 2 gamma X_1 with the gamma that makes the largest Y_i X^-1 Y_i' 1, in units of the bounds
-    return form.T_inverse @ L * np.sqrt(room)
+
+
+def _problem(form: BlockForm, closed: Array, beta: float) -> Problem:
+    E = np.diag(np.array(form.exponents, dtype=float))
+    return Problem(closed, E, form.Bz, form.T_inverse, form.T, beta)
 
 
 def _check_gain(system: System) -> None:
@@ -227,139 +204,7 @@ def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
             "K must stabilize (A, B) whatever the rounding: the largest real part of the poles is "
             f"{_slowest(system, system.K):.4g} 1/s as given, but {slowest:.4g} 1/s in scaled block coordinates"
         )
-    return Problem(closed, np.diag(np.array(form.exponents, dtype=float)), form.T_inverse, beta), omega
-
-
-def _largest_ball(system: System, S: Array, omega: float, options: Options, what: str) -> Design:
-    """Return the design with the largest unit ball; x = S y, and P = I serves in y, with time in 1/omega.
-
-    For a matched disturbance also over a grid of its multiplier tau.
-    """
-    program = _Program(system, S, omega, options, what)
-    if not options.d_max:
-        return program.design(1.0)
-    best: Design | None = None
-    for tau in np.geomspace(1e-2, 1e2, MULTIPLIERS) / options.d_max**2:  # tau d_max^2 is a rate, below some 1/s
-        try:
-            found = program.design(float(tau))
-        except (InfeasibleError, CertificateError):
-            continue
-        if best is None or np.linalg.slogdet(found.P)[1] < np.linalg.slogdet(best.P)[1]:
-            best = found
-    if best is None:
-        raise InfeasibleError(f"{what}: no P proves the rejection of |d| <= {options.d_max:g}")
-    return best
-
-
-class _Program:
-    """The program for the largest unit ball; without a gain in `system`, a gain is designed too."""
-
-    def __init__(self, system: System, S: Array, omega: float, options: Options, what: str) -> None:
-        self.system, self.omega, self.options, self.what = system, omega, options, what
-        self.bounds = options.bounds(system.m)
-        form = system.form
-        self.K_0, self.G = form.K_0, form.generator(options.mu)
-        if options.delta_max is not None and not 0 <= options.index < system.n:
-            raise UserError(f"the bounded state must be one of 0..{system.n - 1}, found {options.index}")
-        self.S = S if system.K is None else S * self._room(S)
-
-    def _sizes(self, S: Array) -> list[Array]:
-        """Return rows f of the bounds f X f' <= 1 in the coordinates y, x = S y."""
-        rows = []
-        if self.system.K is not None and self.bounds is not None:
-            rows += list((self.system.K - self.K_0) @ S / self.bounds[:, None])
-        if self.options.delta_max is not None:
-            rows.append(S[self.options.index] / self.options.delta_max)
-        return rows
-
-    def _room(self, S: Array) -> float:
-        """Return the factor with which X = I meets the bounds."""
-        largest = max((float(np.linalg.norm(row)) for row in self._sizes(S)), default=1.0)
-        return 1.0 / largest if largest > 0.0 else 1.0
-
-    def design(self, tau: float) -> Design:
-        """Return the design with the multiplier tau; where the solver fails, the largest ball until then, or the first.
-
-        The program is solved in the coordinates of its last solution until that does not change; where the solver fails,
-        with narrower bounds on the change.
-        """
-        S, largest, found, failed = self.S, WIDEST, None, None
-        complete = False
-        for _ in range(ROUNDS):
-            try:
-                X, Y = self._solved(S, tau, largest)
-                made = self._made(S, X, Y, tau, "inverse (10)-(11)" if Y is None else "direct (9)")
-                following = S @ np.linalg.cholesky(X)
-            except (InfeasibleError, CertificateError, LinAlgError) as error:
-                failed, largest = failed or error, largest**0.5
-                if largest < NARROWEST:
-                    break
-                continue
-            found, S = made, following
-            complete = float(np.abs(np.log(np.linalg.eigvalsh(X))).max()) < SETTLED
-            if complete:
-                return found
-        if found is None:
-            found = self._first(tau, failed)
-        return replace(found, method=f"{found.method}, ball not maximized")
-
-    def _first(self, tau: float, failed: Exception | None) -> Design:
-        """Return the design whose unit ball is y' y <= 1 in the first coordinates."""
-        if self.options.psi or self.options.d_max:
-            raise failed or InfeasibleError(self.what)
-        try:
-            if self.system.K is not None:
-                return self._made(self.S, np.eye(self.system.n), None, tau, "inverse (10)-(11)")
-            assert self.bounds is not None
-            Y = -(np.linalg.solve(self.S, self.system.B) * self.bounds**2).T  # of the closed form, whose X is I here
-            scale = float(max(np.linalg.norm(row) / bound for row, bound in zip(Y, self.bounds, strict=True)))
-            return self._made(self.S, np.eye(self.system.n), Y / scale, tau, "direct (9)")
-        except (CertificateError, LinAlgError) as error:
-            message = f"{self.what}: what was found does not prove itself in double precision: {error}"
-            raise InfeasibleError(message, numerical=True) from failed
-
-    def _solved(self, S: Array, tau: float, largest: float) -> tuple[Array, Array | None]:
-        """Return X, and Y where a gain is designed, in the coordinates y, x = S y, with I/largest <= X <= largest I."""
-        import cvxpy as cp  # noqa: PLC0415
-
-        n, options, inverse = self.system.n, self.options, np.linalg.inv(S)
-        gain = self.K_0 if self.system.K is None else self.system.K
-        W, B = inverse @ self.G @ S, inverse @ self.system.B
-        X = cp.Variable((n, n), symmetric=True)
-        Y = cp.Variable((self.system.m, n)) if self.system.K is None else None
-        drift = (inverse @ (self.system.A + self.system.B @ gain) @ S / self.omega) @ X
-        if Y is not None and self.bounds is not None:  # Y in units of the bounds
-            drift = drift + (B * self.bounds / self.omega) @ Y
-        monotone = W @ X + (W @ X).T
-        decrease = drift + drift.T + (options.alpha / self.omega) * monotone + SLACK * X
-        if options.d_max:
-            decrease = decrease + B @ B.T / (tau * self.omega) + (tau * options.d_max**2 / self.omega) * X
-        constraints: list[Any] = [
-            monotone >> 2 * options.beta * (1 + SLACK) * X,
-            X >> np.eye(n) / largest,
-            X << np.eye(n) * largest,
-        ]
-        constraints += [row @ X @ row <= 1.0 for row in self._sizes(S)]
-        if Y is not None:
-            rows = [Y[i : i + 1] for i in range(self.system.m)]
-            constraints += [cp.bmat([[np.eye(1), row], [row.T, X]]) >> 0 for row in rows]
-        if options.psi:  # psi I in the coordinates of x, by a Schur complement
-            SX = S @ X
-            constraints.append(cp.bmat([[decrease, SX.T], [SX, -(self.omega / options.psi) * np.eye(n)]]) << 0)
-        else:
-            constraints.append(decrease << 0)
-        solve(cp.Problem(cp.Maximize(cp.log_det(X)), constraints), self.what)
-        if Y is None or self.bounds is None:
-            return np.asarray(X.value), None
-        return np.asarray(X.value), self.bounds[:, None] * np.asarray(Y.value)
-
-    def _made(self, S: Array, X: Array, Y: Array | None, tau: float, method: str) -> Design:
-        o, inverse = self.options, np.linalg.inv(S)
-        P = inverse.T @ np.linalg.inv(X) @ inverse
-        system = self.system
-        if Y is not None:
-            system = system.changed(K=self.K_0 + np.linalg.solve(X, Y.T).T @ inverse)
-        return Design(system, (P + P.T) / 2, o.mu, o.alpha, o.psi, o.d_max, tau, method)
+    return _problem(form, closed, beta), omega
 
 
 @QUIET
@@ -371,6 +216,22 @@ def largest_alpha(
     It lies below the decay rate of the slowest pole, because every w_i is at least 1. `say` is told how the search goes.
     Raises InfeasibleError where no solution is found for any alpha.
     """
+    return _fastest(system, mu, tolerance, say, beta)[0]
+
+
+@QUIET
+def largest_alpha_of(design: Design, say: Say = None) -> float:
+    """Return `largest_alpha` for the gain and mu of a design [1/s]; its P is where the search begins."""
+    problem, omega = _closed_loop(design.system, 0.0)
+    problem = problem.to(problem.S.T @ design.P @ problem.S)
+    first = design.alpha / omega
+    if problem.margin(design.mu, first) <= MARGIN:
+        return largest_alpha(design.system, design.mu, say=say)
+    return faster(problem, design.mu, (first, np.inf), Limit(SEARCH_TIME, say), FINE).a * omega
+
+
+def _fastest(system: System, mu: float, tolerance: float, say: Say, beta: float) -> tuple[float, Problem]:
+    """Return `largest_alpha`, and the inequalities where P = I serves up to there."""
     _check_gain(system)
     problem, omega = _closed_loop(system, beta)
     found = search(problem, mu, np.inf, Limit(SEARCH_TIME, say), tolerance / 10)
@@ -383,15 +244,19 @@ def largest_alpha(
             else "no solution of the matrix inequalities was found"
         )
         raise InfeasibleError(f"{why} for any alpha down to {1e-5 * rate:.2g} 1/s", numerical=not refuted)
-    return found.a * omega
+    return found.a * omega, found.problem
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Options of a design, and why those that nobody gave are what they are: a sentence each."""
+    """Options of a design, and why those that nobody gave are what they are: a sentence each.
+
+    `start` is where P = I serves for them, if a search for the largest alpha came by: a design need not search again.
+    """
 
     options: Options
     reasons: tuple[str, ...]
+    start: Problem | None = None
 
 
 @QUIET
@@ -409,13 +274,13 @@ def chosen_options(
     largest one at that mu; u_max half of the room that the limits leave around the equilibrium, without limits 1 for each
     input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
     """
-    reasons = []
+    reasons, start = [], None
     most = largest_mu(system)
     if mu is not None and system.integral is not None:
         check_degree(mu)
     if alpha is None or mu is None:
         mus = tuple(m for m in MUS if m <= most) if mu is None else (mu,)
-        found, largest = _first_mu(system, mus, alpha, say)
+        found, largest, start = _first_mu(system, mus, alpha, say)
         if mu is None:
             why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
             reasons.append(f"mu = {found:g}: {'the largest for integral action' if found == most < 1.0 else why}")
@@ -426,20 +291,20 @@ def chosen_options(
     if u_max is None and rest.get("delta_max") is None:
         u_max, reason = _bounds_from_limits(system)
         reasons.append(reason)
-    return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons))
+    return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons), start)
 
 
-def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float]:
-    """Return the first mu for which alpha, or any, is feasible, and the largest alpha there."""
+def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float, Problem]:
+    """Return the first mu for which alpha, or any, is feasible, the largest alpha there, and where P = I serves up to it."""
     for mu in mus:
         try:
-            largest = largest_alpha(system, mu, ROUGH, say, Options.beta)
+            largest, start = _fastest(system, mu, ROUGH, say, Options.beta)
         except InfeasibleError:
             if mu == mus[-1]:
                 raise
             continue
         if alpha is None or alpha < largest or mu == mus[-1]:
-            return mu, largest
+            return mu, largest, start
     raise AssertionError
 
 

@@ -71,12 +71,13 @@ class Quantity(NamedTuple):
 class ObserverWish:
     """A homogeneous observer in place of a Kalman filter: its linear gain and its numbers, None: chosen.
 
-    L (n, p): A + L C is Hurwitz; or Q (n, n) or (n,), R (p, p) or (p,): weights of the dual of an LQ regulator,
-    L = -S C' R^-1. nu in [-1, 0]: degree. q_min, q_max > 0: limits of |C z - y| in the gain; q_linear > 0: where the gain
-    is L. Raises UserError that names the entry.
+    L (n, p): A + L C is Hurwitz; or poles (n,): its eigenvalues, real [1/s]; or Q (n, n) or (n,), R (p, p) or (p,): weights
+    of the dual of an LQ regulator, L = -S C' R^-1. nu in [-1, 0]: degree. q_min, q_max > 0: limits of |C z - y| in the gain;
+    q_linear > 0: where the gain is L. Raises UserError that names the entry.
     """
 
     L: Array | None = None
+    poles: Array | None = None
     Q: Array | None = None
     R: Array | None = None
     nu: float | None = None
@@ -85,11 +86,14 @@ class ObserverWish:
     q_linear: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("L", "Q", "R"):
+        for name in ("L", "poles", "Q", "R"):
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _matrix(f"observer.{name}", getattr(self, name), flat=True))
-        if (self.Q is None) != (self.R is None) or (self.L is not None and self.Q is not None):
-            raise UserError("observer must have L, or both Q and R, or none of them")
+        ways = sum(given is not None for given in (self.L, self.poles, self.Q))
+        if (self.Q is None) != (self.R is None) or ways > 1:
+            raise UserError("observer must have L, or poles, or both Q and R, or none of them")
+        if self.poles is not None and not (self.poles < 0.0).all():
+            raise UserError(f"observer.poles must be negative [1/s], found {self.poles.max():g}")
         if self.nu is not None and not -1.0 <= self.nu <= 0.0:
             raise UserError(f"observer.nu must lie in [-1, 0], found {self.nu:g}")
         for name in ("q_min", "q_max", "q_linear"):
@@ -104,7 +108,7 @@ class ObserverWish:
         if not isinstance(table, Mapping) or not set(table) <= set(names):
             raise UserError(f"observer must be a table of {', '.join(names)}, found {shown(table)}")
         for name, value in table.items():
-            if name in ("L", "Q", "R"):
+            if name in ("L", "poles", "Q", "R"):
                 _check_weights(f"observer.{name}", value)
             else:
                 _check_numbers(f"observer.{name}", value, 0)

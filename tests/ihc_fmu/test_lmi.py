@@ -27,7 +27,7 @@ def chain(n, kind, beta=0.1) -> Problem:
     values = values / np.exp(np.log(np.abs(values)).mean())
     closed = np.eye(n, k=1)
     closed[-1] = -np.poly(values).real[:0:-1]
-    return Problem(closed, np.diag(np.arange(n - 1.0, -1.0, -1.0)), np.eye(n), beta)
+    return Problem(closed, np.diag(np.arange(n - 1.0, -1.0, -1.0)), np.eye(n)[:, -1:], np.eye(n), np.eye(n), beta)
 
 
 def check(problem, found, mu, a):
@@ -76,7 +76,7 @@ def test_a_part_of_a_system_is_refuted_though_another_is_feasible():
     slow, fast = chain(2, "equal"), chain(3, "equal")
     closed: Any = block_diag(slow.closed, 4.0 * fast.closed)
     E: Any = block_diag(slow.E + np.eye(2), fast.E)
-    both = Problem(closed, E, np.eye(5), 0.1)
+    both = Problem(closed, E, np.eye(5)[:, [1, 4]], np.eye(5), np.eye(5), 0.1)
     assert search(both, 1.0, 0.02, Limit(20.0)).complete
     found = search(both, 1.0, 0.9, Limit(20.0))
     assert not found.complete
@@ -104,6 +104,8 @@ def test_coordinates_change_neither_inequality_nor_states():
     assert start.margin(0.0, 0.02 * decay(problem)) > MARGIN
     np.testing.assert_allclose(start.S @ start.closed, problem.closed @ start.S, atol=1e-9)
     np.testing.assert_allclose(start.S @ start.E, problem.E @ start.S, atol=1e-9)
+    np.testing.assert_allclose(start.S @ start.B, problem.B, atol=1e-9)
+    np.testing.assert_allclose(start.S @ start.R, np.eye(4), atol=1e-9)
     assert lyapunov(problem, 1.01 * decay(problem)) is None
 
 

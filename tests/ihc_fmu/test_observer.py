@@ -108,6 +108,13 @@ def test_weights_give_the_dual_of_the_linear_quadratic_regulator():
     assert np.linalg.eigvals(A + found.L @ C).real.max() < 0.0
 
 
+def test_poles_are_those_of_the_linear_observer():
+    poles = [-30.0, -20.0, -25.0, -15.0]
+    found = observer_of({"poles": poles})
+    L = gain_at(found, found.q_max)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(ARM["A"] + L @ np.eye(2, 4)).real), np.sort(poles), rtol=1e-6)
+
+
 def test_without_a_gain_it_has_that_of_the_kalman_filter():
     found = observer_of({}, resolutions=[1e-3, 1e-3])
     L = gain_at(found, found.q_max)
@@ -164,6 +171,11 @@ def test_system_file_and_design_hold_the_wish(tmp_path):
         ({"L": GAIN, "nu": -0.9}, r"observer.nu must lie in \[-0\.\d+, 0\] for this gain, found -0.9"),
         ({"L": GAIN, "q_min": 0.2, "q_max": 0.1}, "observer.q_min must not exceed observer.q_max, found 0.2 and 0.1"),
         ({"Q": [1.0], "R": [1.0, 1.0]}, "observer.Q must be 4 numbers"),
+        ({"poles": [-1.0, -2.0]}, "observer.poles must be 4 numbers, one for each state, found 2"),
+        (
+            {"poles": [-1.0, -1.0, -1.0, -2.0]},
+            "observer.poles: at least one of the requested pole is repeated more than",
+        ),
     ],
 )
 def test_what_makes_no_observer_is_refused(wish, message):
@@ -181,11 +193,12 @@ def test_a_model_that_is_not_observable_is_refused():
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({"observer": 3}, "observer must be a table of L, Q, R, nu, q_min, q_max, q_linear, found 3"),
+        ({"observer": 3}, "observer must be a table of L, poles, Q, R, nu, q_min, q_max, q_linear, found 3"),
         ({"observer": {"l": 3}}, "observer must be a table of L"),
         ({"observer": {"L": [[1, "2"]]}}, "observer.L must be rows of numbers"),
         ({"observer": {"L": [[1.0, 2.0]]}}, r"observer.L must have 4 rows of 2 numbers .* found shape \(1, 2\)"),
-        ({"observer": {"Q": [1.0]}}, "observer must have L, or both Q and R, or none of them"),
+        ({"observer": {"Q": [1.0]}}, "observer must have L, or poles, or both Q and R, or none of them"),
+        ({"observer": {"poles": [1.0, -1.0, -2.0, -3.0]}}, r"observer.poles must be negative \[1/s\], found 1"),
         ({"observer": {"nu": 0.1}}, r"observer.nu must lie in \[-1, 0\], found 0.1"),
         ({"observer": {"q_min": 0}}, "observer.q_min must be positive and finite, found 0"),
         ({"observer": {}, "biases": ["y1"]}, "biases must be left out with observer"),

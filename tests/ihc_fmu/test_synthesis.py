@@ -5,14 +5,14 @@ import re
 import numpy as np
 import pytest
 
-from benchmarks.random_systems import drawn
+from benchmarks.random_systems import distance, drawn
 from fmu_export.errors import UserError
 from ihc_fmu.certificate import CertificateError, settling_time_bound
 from ihc_fmu.companion import chain_form, generator
 from ihc_fmu.design import Design
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.start_values import default_design
-from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha
+from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha, largest_alpha_of
 from ihc_fmu.system import System
 from tests.ihc_fmu.conftest import chain_of
 
@@ -219,8 +219,9 @@ def test_gain_that_stabilizes_by_rounding_alone_is_refused():
 
 # Any order, number of inputs and units
 
-DRAWN = (1, 5, 9, 11, 12, 13, 19, 25, 27, 31, 36, 38)
-"""Seeds of n = 2..8, m = 1..3, all three kinds of systems and both of gains, with a largest unit ball for their alpha."""
+DRAWN = (1, 3, 5, 9, 11, 12, 13, 19, 26, 29, 31, 78)
+"""Seeds of n = 2..8, m = 1..3, all three kinds of systems and both of gains, with a largest unit ball for their alpha;
+flat ones among them: lambda_min/lambda_max of P is 1e-12 for that of 29."""
 
 
 def designed(method, case):
@@ -236,16 +237,12 @@ def test_units_of_states_inputs_and_time_do_not_matter(method, seed):
     here, plain = drawn(seed), drawn(seed, units=False)
     d, e = designed(method, here), designed(method, plain)
     for design, case in ((d, here), (e, plain)):
-        assert (design.u_max / case.u_max).max() == pytest.approx(1.0, rel=1e-3)
+        assert (design.u_max / case.u_max).max() == pytest.approx(1.0, rel=1e-5)
         assert design.certificate.decrease > 0.0
-    whitened = np.linalg.inv(np.linalg.cholesky(e.P))
-    same = whitened @ (here.units[:, None] * d.P * here.units) @ whitened.T
-    np.testing.assert_allclose(same, np.eye(d.n), atol=1e-3)
+    assert distance(d, e, here) < max(1e-6, 1e-16 / e.certificate.positive)
     x = np.random.default_rng(seed).normal(size=d.n)
     in_time = settling_time_bound(d, here.units * x) * here.omega
-    assert in_time == pytest.approx(settling_time_bound(e, x), rel=1e-3)
-    poles = [np.sort_complex(np.linalg.eigvals(f.A + f.B @ f.K) / rate) for f, rate in ((d, here.omega), (e, 1.0))]
-    np.testing.assert_allclose(poles[0], poles[1], rtol=1e-2)
+    assert in_time == pytest.approx(settling_time_bound(e, x), rel=1e-5)
 
 
 @pytest.mark.parametrize("alpha", [0.001, 0.1, 10.0, 100.0])
@@ -295,6 +292,19 @@ def test_degree_is_lowered_for_an_alpha_that_the_highest_one_does_not_allow(pape
     """The largest alpha is 0.27 at mu = 1, 0.33 at 0.75, 0.44 at 0.5, 0.63 at 0.25."""
     assert chosen_options(system(*paper), alpha=0.4).options.mu == 0.5
     assert chosen_options(system(*paper), alpha=0.2).options.mu == 1.0
+
+
+def test_what_was_found_for_a_choice_and_a_design_is_used_again(paper):
+    """A design from the search of its choice is the same, and its own P leads to the same largest alpha as a new search."""
+    choice = chosen_options(system(*paper))
+    said, again = [], []
+    first = inverse_design(system(*paper), choice.options, said.append, choice.start)
+    second = inverse_design(system(*paper), choice.options, again.append)
+    assert (len(said), bool(again)) == (0, True)
+    np.testing.assert_allclose(first.P, second.P, rtol=1e-6)
+    assert largest_alpha_of(first) == pytest.approx(largest_alpha(system(*paper)), rel=1e-4)
+    other = Options(mu=1.0, alpha=0.26, u_max=1.5, beta=0.6)
+    assert inverse_design(system(*paper), other, start=choice.start).certificate.monotone > 1.2
 
 
 def test_what_is_given_stays(paper):

@@ -74,6 +74,14 @@ def test_a_process_of_its_own_is_the_same_program(tmp_path):
 # The chain
 
 
+def test_direct_design_tells_its_control(tmp_path):
+    said = accepted("design", "--method", "direct", "--alpha", "1", "--u-max", "10", cwd=tmp_path)
+    design = Design.load(tmp_path / "design.json")
+    most = float(np.sqrt((design.K @ np.linalg.solve(design.P, design.K.T)).item()))
+    assert f"on the unit ball |voltage| <= {most:.4g} V; any alpha has a solution" in " ".join(said.split())
+    assert "largest feasible" not in said
+
+
 def test_a_system_with_the_pendulums_name_that_is_none_is_told_that_the_name_is_why(tmp_path):
     system = "A = [[0, 1, 0], [0, 0, 1], [0, 0, 0]]\nb = [0, 0, 1]\nk_lin = [-6, -11, -6]\n"
     (tmp_path / "rotary_pendulum.toml").write_text(system, "utf-8")

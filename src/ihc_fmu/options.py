@@ -1,0 +1,64 @@
+"""What a design is asked for besides its model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fmu_export.errors import UserError
+
+from .design import check_scalars
+
+Array = np.ndarray
+
+SCALES = (1e-9, 1e9)
+"""Bounds on what scales the problem: beyond, double precision does not resolve it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What both designs take besides the model.
+
+    mu: homogeneity, (0, 1]. alpha [1/s]: decrease to be proven. u_max: bound on |(K - K_0) x| on the unit ball, a number
+    or one for each input, the scale of P. delta_max: instead or as well, a bound on |x_index| on it. beta:
+    G_d X + X G_d' >= 2 beta X, which keeps the dilation monotone with a margin. psi, d_max: the terms of Remark 3.
+    """
+
+    mu: float = 1.0
+    alpha: float = 0.2
+    u_max: float | Sequence[float] | None = 1.5
+    delta_max: float | None = None
+    index: int = 1
+    beta: float = 0.1
+    psi: float = 0.0
+    d_max: float = 0.0
+
+    def __post_init__(self) -> None:
+        check_scalars(self.mu, self.alpha, self.psi, self.d_max)
+        if self.u_max is None and self.delta_max is None:
+            raise UserError("the scale of P needs a rule: u_max, delta_max or both")
+        bounds = [] if self.u_max is None else np.atleast_1d(np.asarray(self.u_max, dtype=float)).tolist()
+        sizes = [
+            *(("u_max", value) for value in bounds),
+            *([] if self.delta_max is None else [("delta_max", self.delta_max)]),
+        ]
+        for name, value in sizes:
+            if not 0.0 < value < np.inf:
+                raise UserError(f"{name} must be positive and finite, found {value}")
+        for name, value in (*sizes, ("psi", self.psi), ("d_max", self.d_max)):  # 0 is for none
+            if value and not SCALES[0] <= value <= SCALES[1]:
+                raise UserError(f"{name} must lie in [{SCALES[0]:g}, {SCALES[1]:g}], found {value}")
+        if not 0.0 < self.beta < 1.0:
+            raise UserError(f"beta must lie in (0, 1), found {self.beta}")
+
+    def bounds(self, m: int) -> Array | None:
+        """Return u_max for each of m inputs."""
+        if self.u_max is None:
+            return None
+        bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))
+        if bounds.shape not in ((1,), (m,)):
+            several = "" if m == 1 else f" or {m} numbers, one for each input"
+            raise UserError(f"u_max must be a number{several}, found {len(bounds)}")
+        return np.broadcast_to(bounds, (m,))
