@@ -153,7 +153,7 @@ def test_start_values_are_brought_into_their_type(controller, name, value, expec
         ("enabled", 1, "enabled must be true or false, found 1"),
         ("enabled", "yes", "enabled must be true or false, found 'yes'"),
         ("a_min", "small", "a_min must be a number, found 'small'"),
-        ("a_min", False, "a_min must be a number, found False"),
+        ("a_min", False, "a_min must be a number, found false"),
         ("a_min", 0.0, "a_min must lie in [1e-06, 1e+12]"),
         ("mu", 1.0000001, "mu must lie in [0, 1]"),
         ("mu", -1e-9, "mu must lie in [0, 1]"),

@@ -114,6 +114,8 @@ def another(variable, value, rng):
         return not value
     if variable.type == "Integer":
         return int(value) + 3
+    if variable.name.startswith("P_"):  # stays positive definite
+        return value * rng.uniform(1.0 - 1e-4, 1.0 + 1e-4)
     low, high = variable.limits()
     return min(high, max(low, value * rng.uniform(0.5, 1.5) + rng.uniform(0.0, 0.02)))
 
