@@ -20,7 +20,7 @@ import numpy as np
 
 from fmu_export.errors import UserError
 from fmu_export.reading import read_text
-from ihc_fmu.design import Design
+from ihc_fmu.design import DESIGN_FILE, Design
 from ihc_fmu.pendulum.interface import STATES
 from ihc_fmu.system import Quantity
 from ihc_fmu.system import System as LinearSystem
@@ -31,7 +31,6 @@ from .fmu import describe, start_values_of
 from .pendulum_match import Model
 from .plant_as_wired import COUNTS, Found, Place, Port, Question, found
 from .structure import Component, System, Wire
-from .system_export import DESIGN_FILE
 from .wiring import CONTROLLER, PLANT
 
 Array = np.ndarray

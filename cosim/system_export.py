@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from ihc_fmu.system import System
 
 
-DESIGN_FILE = "design.json"
-"""Among a controller FMU's resources: the design that it was made of, which its code does not read."""
-
-
 def exported_files(system: System) -> tuple[str, str, str]:
     """Return the names of the files that an export writes: plant, controller, both as SSP."""
     return f"{system.name}_linear_plant.fmu", f"{system.name}_controller.fmu", f"{system.name}.ssp"
@@ -92,6 +88,7 @@ def export_system(
     from filing.origin import origin
     from fmu_export.ssp import write_ssp
     from ihc_fmu.controller import regulator_of, resampled
+    from ihc_fmu.design import DESIGN_FILE
     from ihc_fmu.regulator.documentation import notes as controller_notes
     from ihc_fmu.regulator.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.regulator.slave import HomogeneousController

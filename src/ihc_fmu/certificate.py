@@ -18,7 +18,7 @@ from fmu_export.errors import UserError
 from .homogeneity import homogeneous_norm, norm_polynomial
 
 if TYPE_CHECKING:
-    from .design import Design
+    from .candidate import Candidate
 
 Array = np.ndarray
 Exact = list[list[Fraction]]
@@ -58,7 +58,7 @@ class Certificate:
         return asdict(self)
 
 
-def certify(design: Design) -> Certificate:
+def certify(design: Candidate) -> Certificate:
     """Return the certificate of `design`, or raise CertificateError that names the inequality and its margin."""
     P, form = design.P, design.form
     if np.abs(P - P.T).max() > 1e-9 * np.abs(P).max():
@@ -123,7 +123,7 @@ def _require(holds: bool, inequality: str, margin: float, unit: str) -> None:
 class UnitBall:
     """The closed loop in coordinates y = L' T x in which x' P x = y' y, so that matrices there are relative to P."""
 
-    def __init__(self, design: Design, L_t: Array) -> None:
+    def __init__(self, design: Candidate, L_t: Array) -> None:
         form, inverse = design.form, np.linalg.inv(L_t)
         self.design = design
         self.closed = L_t @ (form.T @ (design.A + design.B @ design.K) @ form.T_inverse) @ inverse
@@ -165,7 +165,7 @@ class UnitBall:
 class _ExactSides:
     """The left sides of the inequalities as fractions: what the numbers of the design mean, without rounding."""
 
-    def __init__(self, design: Design) -> None:
+    def __init__(self, design: Candidate) -> None:
         self.design = design
         self.P = _exact((design.P + design.P.T) / 2)
         self.PG = _product(self.P, _exact(design.form.generator(design.mu)))
@@ -224,7 +224,7 @@ def is_positive(M: Exact) -> bool:
     return True
 
 
-def _identity_residual(design: Design) -> float:
+def _identity_residual(design: Candidate) -> float:
     """Return the larger relative residual of the identities (1), in block coordinates, where scales are comparable.
 
     There G_d is diag(w), so that what is left of both is what T (A + B K_0) T^-1 and T B have besides N and B_k.
@@ -238,7 +238,7 @@ def _identity_residual(design: Design) -> float:
     return max(float(np.abs(residual).max()) / scale, float(np.abs(lost).max()) / size)
 
 
-def norm_of(design: Design, x: Array) -> float:
+def norm_of(design: Candidate, x: Array) -> float:
     """Return ||x||_d for the design's P and dilation."""
     form = design.form
     Pz = (form.T_inverse.T @ design.P @ form.T_inverse).tolist()
@@ -246,7 +246,7 @@ def norm_of(design: Design, x: Array) -> float:
     return homogeneous_norm(norm_polynomial(Pz, z, form.exponents, design.mu), design.mu)
 
 
-def settling_time_bound(design: Design, x0: Array) -> float:
+def settling_time_bound(design: Candidate, x0: Array) -> float:
     """Return T(x0) [s] by which the linear closed loop has reached the origin: r0^mu / (mu alpha), r0 = ||x0||_d.
 
     It follows from d||x||_d/dt <= -alpha ||x||_d^(1-mu); at mu = 1 it is the bound r0/alpha of Corollary 1. It holds for

@@ -34,7 +34,7 @@ from fmu_export.errors import UserError
 from .certificate import CertificateError, is_positive
 
 if TYPE_CHECKING:
-    from .design import Design
+    from .candidate import Candidate
     from .system import System
 
 Array = np.ndarray
@@ -63,7 +63,7 @@ class IntegralAction:
             raise CertificateError("Gamma > 0 fails: the integral action has no proof")
 
 
-def integral_action(design: Design) -> IntegralAction | None:
+def integral_action(design: Candidate) -> IntegralAction | None:
     """Return the integral action that the system of a design asks for, None: none.
 
     Raises UserError for mu > 1/2, for a linear PI controller that is not stable, and for one that no Gamma comes near.
@@ -109,7 +109,7 @@ def nearest(K_i: Array, B: Array, P: Array, states: Array, inputs: Array) -> Arr
     return (Gamma + Gamma.T) / 2
 
 
-def _of(design: Design, Gamma: Array) -> IntegralAction:
+def _of(design: Candidate, Gamma: Array) -> IntegralAction:
     return IntegralAction(-Gamma @ design.B.T @ design.P, Gamma)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
-from .design import check_scalars
+from .candidate import check_scalars
 
 Array = np.ndarray
 
