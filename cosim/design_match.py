@@ -19,7 +19,7 @@ beside is not told from other parameters (sines of 0.15 and 0.36 for crane and a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations, product
 
@@ -164,10 +164,15 @@ def fits(expected: Expected, plant: Seen) -> bool | None:
     return None if both is None else distance(both.design, both.plant).fits
 
 
-def explained(expected: Expected, plant: Seen) -> str | None:
-    """Return what would make a model that does not fit that of the plant; None where nothing does that is tried."""
+def explained(expected: Expected, plant: Seen, suspects: Collection[str] = ()) -> str | None:
+    """Return what would make a model that does not fit that of the plant; None where nothing does that is tried.
+
+    Of several that are as short, what changes `suspects` wins: quantities whose wires convert.
+    """
     both = answers(expected, plant)
-    found = None if both is None else min(explanations(expected.system, both), default=None)
+    if both is None:
+        return None
+    found = min(explanations(expected.system, both), key=lambda e: e.rank(suspects), default=None)
     return None if found is None else "; ".join(found.said)
 
 
@@ -227,16 +232,19 @@ def _text(poles: Array) -> str:
     return ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-6 else f"{p.real:.3g}{p.imag:+.3g}i" for p in poles)
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Explanation:
-    """What would make the design's model that of the plant, in words; of several the least is taken."""
+    """What would make the design's model that of the plant, in words, and the names of the quantities that it changes."""
 
-    count: int
-    quantities: int
     said: tuple[str, ...]
+    changed: tuple[str, ...]
 
     def __add__(self, other: Explanation) -> Explanation:
-        return Explanation(self.count + other.count, self.quantities + other.quantities, self.said + other.said)
+        return Explanation(self.said + other.said, self.changed + other.changed)
+
+    def rank(self, suspects: Collection[str]) -> tuple[int, int, int, tuple[str, ...]]:
+        """Return what is least of the one that is taken."""
+        return len(self.said), len(self.changed), len(set(self.changed) - set(suspects)), self.said
 
 
 def explanations(system: System, both: Answers) -> Iterator[Explanation]:
@@ -247,7 +255,7 @@ def explanations(system: System, both: Answers) -> Iterator[Explanation]:
         turned = (both.design / both.u_size)[:, :, list(order)] * factors * both.u_size
         found = _assigned(system, both, turned)
         if found is not None:
-            yield _said(inputs, order, factors, "inputs") + found
+            yield _said(inputs, order, 1.0 / factors, "inputs") + found
 
 
 def _orders_of_states(system: System, both: Answers) -> Iterator[Explanation]:
@@ -261,7 +269,7 @@ def _orders_of_states(system: System, both: Answers) -> Iterator[Explanation]:
 
 
 def _changes(inputs: Sequence[Quantity]) -> Iterator[tuple[tuple[int, ...], Array]]:
-    """Yield orders of inputs and factors of their numbers: signs, one unit for all, or one input's."""
+    """Yield orders of inputs and factors of their effects: signs, one unit for all, or one input's."""
     m = len(inputs)
     same = tuple(range(m))
     orders: Iterable[tuple[int, ...]] = permutations(same)
@@ -273,9 +281,11 @@ def _changes(inputs: Sequence[Quantity]) -> Iterator[tuple[tuple[int, ...], Arra
     yield from ((order, np.array(sign)) for order in orders for sign in signs)
     for sign in signs:
         for j, quantity in enumerate(inputs):
-            yield from ((same, np.array(sign) * np.where(np.arange(m) == j, f, 1.0)) for f in slips(quantity.unit))
+            yield from (
+                (same, np.array(sign) * np.where(np.arange(m) == j, 1.0 / f, 1.0)) for f in slips(quantity.unit)
+            )
         if m > 1:
-            yield from ((same, np.array(sign) * f) for f in slips("1"))
+            yield from ((same, np.array(sign) / f) for f in slips("1"))
 
 
 def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
@@ -291,15 +301,16 @@ def _assigned(system: System, both: Answers, design: Array) -> Explanation | Non
     outputs = [system.outputs[i] for i in both.rows]
     r, known = len(outputs), [(1.0, *slips(q.unit)) for q in outputs]
     inner, squares, others = _products(design, both.plant)
-    factors = np.array([[nearest(inner[i, k] / squares[i], known[k]) for k in range(r)] for i in range(r)])
     with np.errstate(all="ignore"):  # rows that nothing is like
-        gain = inner / squares[:, None] / factors
+        ratios = squares[:, None] / inner
+        factors = np.array([[nearest(ratios[i, k], known[k]) for k in range(r)] for i in range(r)])
+        gain = factors / ratios
         sine = np.sqrt(np.maximum(0.0, 1.0 - inner**2 / (squares[:, None] * others)))
         possible = (GAINS[0] <= gain) & (gain <= GAINS[1]) & (sine <= LARGEST_SINE)
     changes = 2.0 * (np.abs(factors) != 1.0) + 2.0 * (factors < 0.0) + ~np.eye(r, dtype=bool)
     order = linear_sum_assignment(np.where(possible, np.abs(gain - 1.0) + sine + changes, 1e6))[1]
     S = factors[np.arange(r), order]
-    if not possible[np.arange(r), order].all() or not distance(design[order] / S[:, None, None], both.plant).fits:
+    if not possible[np.arange(r), order].all() or not distance(design[order] * S[:, None, None], both.plant).fits:
         return None
     return _said(outputs, order, S, "states" if system.measures_state else "outputs")
 
@@ -313,7 +324,10 @@ def _products(design: Array, plant: Array) -> tuple[Array, Array, Array]:
 
 
 def _said(quantities: Sequence[Quantity], order: Sequence[int] | Array, factors: Array, what: str) -> Explanation:
-    """Return order, signs and units in words: the plant's quantity i is the design's number order[i], times factors[i]."""
+    """Return order, signs and units in words: the plant's quantity i is the design's number order[i].
+
+    The controller's numbers of it are factors[i] times as large as its unit in the design says.
+    """
     names, said = [q.name for q in quantities], []
     given = [names[i] for i in np.argsort(order)]
     moved = [name for name, other in zip(names, given, strict=True) if name != other]
@@ -321,18 +335,18 @@ def _said(quantities: Sequence[Quantity], order: Sequence[int] | Array, factors:
         said.append(f"its {what} are in the order {', '.join(given)}, not {', '.join(names)}")
     turned = [name for name, factor in zip(names, factors, strict=True) if factor < 0.0]
     if turned:
-        said.append(f"the sign{_s(turned)} of {', '.join(turned)} {_are(turned)} the opposite")
+        said.append(
+            f"the sign{_number(turned, '', 's')} of {', '.join(turned)} {_number(turned, 'is', 'are')} the opposite"
+        )
     units: dict[str, list[str]] = {}
     for i, quantity in enumerate(quantities):
         if abs(factors[i]) != 1.0:
-            units.setdefault(slips(quantity.unit)[abs(float(factors[i]))], []).append(quantity.name)
-    said += [f"{', '.join(which)} {_are(which)} in {unit}" for unit, which in units.items()]
-    return Explanation(len(said), len(moved) + len(turned) + sum(map(len, units.values())), tuple(said))
+            known = slips(quantity.unit)
+            units.setdefault(known[nearest(abs(factors[i]), known)], []).append(quantity.name)
+    verb = "act" if what == "inputs" else "arrive"
+    said += [f"{', '.join(which)} {verb}{_number(which, 's', '')} in {unit}" for unit, which in units.items()]
+    return Explanation(tuple(said), (*moved, *turned, *(name for which in units.values() for name in which)))
 
 
-def _s(names: Sequence[str]) -> str:
-    return "s" if len(names) > 1 else ""
-
-
-def _are(names: Sequence[str]) -> str:
-    return "are" if len(names) > 1 else "is"
+def _number(names: Sequence[str], one: str, more: str) -> str:
+    return more if len(names) > 1 else one

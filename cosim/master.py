@@ -25,7 +25,7 @@ from .native_loop import NativeLoop, needs_python
 from .results import Interrupted, Result, SimulationError, versions
 from .room import check_rows
 from .structure import System, Wire
-from .unit_definitions import NO_UNIT, declared_unit, scale_of, scale_text, unit_in, unit_of
+from .unit_definitions import NO_UNIT, check_units, declared_unit, unit_in, unit_of
 
 Order = Literal["controller-first", "parallel"]
 ORDERS: tuple[str, ...] = get_args(Order)
@@ -123,24 +123,14 @@ class Coupling:
             if a.type != "Real" or not (math.isfinite(wire.factor) and math.isfinite(wire.offset)):
                 raise UserError(f"{text} may convert real numbers by finite ones, found {a.type}, {_conversion(wire)}")
             return
+        check_units(wire, {name: instance.description for name, instance in self.instances.items()})
         units = declared_unit(a), declared_unit(b)
         if (units[0] or NO_UNIT) == (units[1] or NO_UNIT) or unit_of(a) == unit_of(b):
             return
-        if units[0] and units[1]:
-            hint = self._hint(source[0], target[0], units[0], units[1])
-            raise UserError(f"{text} must join equal units, found {units[0]} and {units[1]}{hint}")
         (owner, name), variable, unit = (target, b, units[0]) if units[0] else (source, a, units[1])
         described = unit_of(variable)
         but = "" if described == NO_UNIT else f", although its description says {described},"
         self.instances[owner].messages.append(f"warning: {name} declares no unit{but} and is taken to be in {unit}")
-
-    def _hint(self, source: str, target: str, from_unit: str, to_unit: str) -> str:
-        """Return how the wire would convert, where both FMUs define their units by the same quantity."""
-        scales = (
-            scale_of(self.instances[owner].description, unit)
-            for owner, unit in ((source, from_unit), (target, to_unit))
-        )
-        return scale_text(*scales)
 
     def _check_single_sources(self) -> None:
         targets = [".".join(t) for _, t, _ in self.wires] + [".".join(t) for t, _ in self.signals]

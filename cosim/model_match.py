@@ -4,8 +4,8 @@ The pendulum's controller says its model by start values, that of any other desi
 which is read as any design file is; a controller without is not judged. The plant's model is known for the pendulum, and of
 any other FMU that shows its states found by differences (`plant_as_wired`). Between the pendulum's two units start values
 decide (`pendulum_match`); another plant of its controller is seen in the coordinates of its two angles and their rates; all
-others are compared by what goes from commands to measurements (`design_match`). Where a plant cannot be evaluated nothing
-is said.
+others are compared by what goes from commands to measurements (`design_match`). Nothing is said of a plant that hides its
+states; of one that shows them and cannot be evaluated, why.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from . import design_match, pendulum, pendulum_match
 from .design_match import Expected
 from .fmu import describe, start_values_of
 from .pendulum_match import Model
-from .plant_as_wired import COUNTS, Found, Place, Port, Question, found
+from .plant_as_wired import COUNTS, Found, Place, Port, Question, found, judged
 from .structure import Component, System, Wire
 from .wiring import CONTROLLER, PLANT
 
@@ -57,7 +57,7 @@ def misfit(system: System) -> str | None:
     if not isinstance(expected, Expected) or question is None:
         return None
     if pair.balances:
-        design, plant = pendulum_match.design_model(pair.controller_values), _in_angles(found(question))
+        design, plant = pendulum_match.design_model(pair.controller_values), _in_angles(judged(question))
         return None if design is None or plant is None else pendulum_match.misfit_of(design, plant)
     return _misfit(expected, question, pair.plain)
 
@@ -69,41 +69,65 @@ def remarks(system: System) -> list[str]:
         return []
     if pair.balances and pendulum.is_plant(pair.plant_values):
         return pendulum_match.remarks(pair.controller_values, pair.plant_values)
-    expected, question = pair.expected, pair.question
-    if isinstance(expected, str):
-        return [expected]
-    plant = None if question is None else found(question)
+    return [pair.expected] if isinstance(pair.expected, str) else _remarks(pair, pair.expected)
+
+
+def _remarks(pair: _Pair, expected: Expected | None) -> list[str]:
+    question = pair.question
+    plant = None if question is None else judged(question)
     if expected is None or plant is None:
         return []
+    if isinstance(plant, str):
+        return [f"the controller's model could not be compared with the plant's, because {plant}"]
     if pair.balances:
         design, real = pendulum_match.design_model(pair.controller_values), _in_angles(plant)
         gain = pendulum_match.k_lin_of(pair.controller_values)
         return [] if design is None or real is None else pendulum_match.remarks_of(design, real, gain)
-    moving = (
-        [] if plant.moving is None else [f"the plant does not rest at the design's equilibrium: {plant.moving} there"]
-    )
-    return [*design_match.remarks(expected, plant.seen), *moving]
+    return [*design_match.remarks(expected, plant.seen), *_resting(question)]
+
+
+def _resting(question: Question | None) -> list[str]:
+    """Return that a plant does not rest at the design's equilibrium as it is wired, where it does not."""
+    there = None if question is None else found(question)
+    if isinstance(there, str):
+        return [f"the plant cannot be evaluated at the design's equilibrium, as it is wired: {there}"]
+    if there is None or there.moving is None:
+        return []
+    return [f"the plant does not rest at the design's equilibrium: {there.moving} there"]
 
 
 @lru_cache(maxsize=64)
 def _misfit(expected: Expected, question: Question, plain: bool) -> str | None:
-    plant = found(question)
-    if plant is None or design_match.fits(expected, plant.seen) is not False:
+    plant = judged(question)
+    if not isinstance(plant, Found) or design_match.fits(expected, plant.seen) is not False:
         return None
     if not plant.placed and plant.moving is not None:
         return None  # where its other states belong is not known
     wired = "" if plain else ", as it is wired"
-    said = design_match.explained(expected, plant.seen) or _elsewhere(expected, question, plant)
+    said = _explained(expected, question, plant) or _elsewhere(expected, question, plant)
     if said is not None:
         return f"the controller was designed for another model than the plant's{wired}: {said}"
     unlike = design_match.unlike(expected, plant.seen)
     return f"the controller was designed for another system than this plant{wired}: {unlike}"
 
 
+def _explained(expected: Expected, question: Question, plant: Found) -> str | None:
+    """Return what would make the design fit; by differences as wide as before the wires too, should one spoil them."""
+    system = expected.system
+    pairs = [(p, system.outputs) for p in question.outputs] + [(p, system.inputs) for p in question.inputs]
+    suspects = {of[port.number].name for port, of in pairs if port.factor != 1.0}
+    plain = found(replace(question, places=question.unconverted))
+    for there in (plant, plain):
+        said = design_match.explained(expected, there.seen, suspects) if isinstance(there, Found) else None
+        if said:
+            return said
+    return None
+
+
 def _elsewhere(expected: Expected, question: Question, plant: Found) -> str | None:
     """Return where else the design fits the plant, if it is where the plant starts."""
     there = found(replace(question, places=()))
-    if there is None or not design_match.fits(expected, there.seen):
+    if not isinstance(there, Found) or not design_match.fits(expected, there.seen):
         return None
     moved = [name for name, value in plant.values.items() if not np.isclose(there.values[name], value, 1e-6, 1e-9)]
     places = [
@@ -112,9 +136,9 @@ def _elsewhere(expected: Expected, question: Question, plant: Found) -> str | No
     return f"it is linearized about another equilibrium: it fits at {places[0]}, not at {places[1]}" if moved else None
 
 
-def _in_angles(found: Found | None) -> Model | None:
+def _in_angles(found: Found | str | None) -> Model | None:
     """Return a plant's model in its first two outputs and their rates, as the pendulum's; None where they are no states."""
-    if found is None:
+    if not isinstance(found, Found):
         return None
     seen = found.seen
     if len(seen.A) != len(STATES) or not {0, 1} <= set(seen.rows) or seen.columns != (0,):
@@ -191,6 +215,7 @@ class _Pair:
             outputs=outputs,
             inputs=inputs,
             places=tuple(_places(expected, outputs, inputs).items()),
+            unconverted=tuple(_places(expected, *map(_unconverted, (outputs, inputs))).items()),
             span=_span(system),
         )
 
@@ -206,6 +231,10 @@ class _Pair:
             ):
                 found.append(Port(ends[PLANT], names.index(ends[CONTROLLER]), wire.factor, wire.offset))
         return tuple(found)
+
+
+def _unconverted(ports: Sequence[Port]) -> tuple[Port, ...]:
+    return tuple(replace(port, factor=1.0, offset=0.0) for port in ports)
 
 
 def _entries(numbers: Array) -> tuple[float, ...]:

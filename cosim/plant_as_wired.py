@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -61,6 +61,7 @@ class Place:
 class Question:
     """What is asked of a plant. `places`: of states and inputs by name; states without one stay at their start values.
 
+    `unconverted`: these as if the wires changed no number, should one of them be mistaken.
     `content`: what tells this file from a later one of the same path. `start`: start values of the plant. `span` [s]: in
     which the controller's model changes by a small part.
     """
@@ -71,6 +72,7 @@ class Question:
     outputs: tuple[Port, ...]
     inputs: tuple[Port, ...]
     places: tuple[tuple[str, Place], ...]
+    unconverted: tuple[tuple[str, Place], ...]
     span: float
 
 
@@ -87,9 +89,28 @@ class Found:
     placed: bool
 
 
+def judged(question: Question) -> Found | str | None:
+    """Return the plant where its controller is to hold it, else why it cannot be evaluated; None: its states are hidden.
+
+    A wire's mistaken factor moves the equilibrium besides. Where the plant does not rest at the one behind the wires, but at
+    the same numbers before them, the latter is taken; so where it cannot be evaluated at the former.
+    """
+    wired = found(question)
+    if wired is None or question.places == question.unconverted or (isinstance(wired, Found) and wired.moving is None):
+        return wired
+    plain = found(replace(question, places=question.unconverted))
+    if not isinstance(plain, Found):
+        return wired
+    return plain if not isinstance(wired, Found) or (plain.moving is None and _apart(plain, wired)) else wired
+
+
+def _apart(a: Found, b: Found) -> bool:
+    return not all(np.isclose(a.values[name], value, 1e-6, 1e-9) for name, value in b.values.items())
+
+
 @lru_cache(maxsize=64)  # a campaign's runs have few plants
-def found(question: Question) -> Found | None:
-    """Return the plant; None where it cannot be evaluated, its states cannot be set, or it takes too long."""
+def found(question: Question) -> Found | str | None:
+    """Return the plant at the question's places, else why it cannot be evaluated there; None: its states are hidden."""
     try:
         plant = open_plant(
             question.path,
@@ -99,11 +120,14 @@ def found(question: Question) -> Found | None:
             dict(question.start) | _exact(question.path),
             None,
         )
+    except (UserError, FmuError, EvaluationError):
+        return None
+    try:
         with closing(plant), deferred_interrupt() as plant.interrupt, np.errstate(all="ignore"):
             plant.deadline = time.monotonic() + LONGEST
             return _found(plant, question)
-    except (UserError, FmuError, EvaluationError, np.linalg.LinAlgError):
-        return None
+    except (UserError, FmuError, EvaluationError, np.linalg.LinAlgError) as error:
+        return str(error)
 
 
 def _exact(path: Path) -> dict[str, Value]:
@@ -113,7 +137,7 @@ def _exact(path: Path) -> dict[str, Value]:
     return {name: 0.0 for name in own if name.endswith(RESOLUTION) and name.removesuffix(RESOLUTION) in outputs}
 
 
-def _found(plant: Plant, question: Question) -> Found | None:
+def _found(plant: Plant, question: Question) -> Found | str:
     places = dict(question.places)
     states = [places.get(v.name, places.get(v.name.removesuffix(TRUE))) for v in plant.states]
     own = {name.removesuffix(TRUE) for name in plant.names[: plant.n]}
@@ -126,10 +150,10 @@ def _found(plant: Plant, question: Question) -> Found | None:
     model = plant.coarse(z, widths, question.span)
     plant.look()
     if not all(np.isfinite(M).all() for M in (model.A, model.B, model.C, model.D, model.rates)):
-        return None
+        return "its derivatives are not finite"
     seen = _seen(plant, model, question)
     if seen is None:
-        return None
+        return "its sensors count too coarsely for differences"
     values = dict(zip(plant.names, z.tolist(), strict=True))
     return Found(seen, values, _moving(plant, model, widths), None not in states)
 

@@ -486,9 +486,17 @@ def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Ma
 
 
 def _check_model(system: System) -> None:
-    """Raise UserError where the controller was designed for another model than the plant's, see `model_match`."""
-    from .model_match import misfit  # noqa: PLC0415 - heavy
+    """Raise UserError where the controller was designed for another model than the plant's, see `model_match`.
 
+    Before that where a wire joins other units.
+    """
+    from .fmu import describe  # noqa: PLC0415
+    from .model_match import misfit  # noqa: PLC0415 - heavy
+    from .unit_definitions import check_units  # noqa: PLC0415
+
+    descriptions = {component.name: describe(component.path)[1] for component in system.components}
+    for wire in system.wires:
+        check_units(wire, descriptions)
     problem = misfit(system)
     if problem is not None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from .errors import UserError
+
 if TYPE_CHECKING:
     from .structure import Wire
 
@@ -82,3 +84,23 @@ def scale_text(source: Scale | None, target: Scale | None) -> str:
         return ""
     factor, offset = found
     return f"; it converts with factor = {factor!r}" + (f" and offset = {offset!r}" if offset else "")
+
+
+def check_units(wire: Wire, descriptions: Mapping[str, ModelDescription]) -> None:
+    """Raise UserError where both ends of a wire that does not convert declare units, and other ones.
+
+    `descriptions`: of the FMUs by component. Of a variable that an FMU does not have nothing is said.
+    """
+    ends = [end.partition(".") for end in (wire.source, wire.target)]
+    variables = [
+        next((v for v in descriptions[owner].modelVariables if v.name == name), None) if owner in descriptions else None
+        for owner, _, name in ends
+    ]
+    a, b = variables
+    if wire.converts or a is None or b is None:
+        return
+    source, target = declared_unit(a), declared_unit(b)
+    if source and target and source != target:
+        hint = scale_text(scale_of(descriptions[ends[0][0]], source), scale_of(descriptions[ends[1][0]], target))
+        text = f"the wire {wire.source} -> {wire.target}"
+        raise UserError(f"{text} must join equal units, found {source} and {target}{hint}")

@@ -251,11 +251,9 @@ def _check_judgement(scenario, system, plant, folder):
     crossed = [f"controller.{name} -> plant.{other}" for name, other in zip(u, reversed(u), strict=True)]
     other = "model than the plant's, as it is wired: "
     opposite = f"{other}the sign of {u[0]} is the opposite"
-    if system.u_eq[0] != 0.0:  # a negative thrust does not carry
-        opposite = "system than this plant, as it is wired: in its model z answers"
     cases = [
         ([f"{there[0]} * -1", *there[1:], *back], f"the sign of {y[0]} is the opposite"),
-        ([*there, *(f"{wire} * 0.001" for wire in back)], f"{', '.join(u)} (is|are) in thousands instead of "),
+        ([*there, *(f"{wire} * 0.001" for wire in back)], f"{', '.join(u)} acts? in thousandths of "),
         ([*swapped, *back], f"its (outputs|states) are in the order {y[1]}, {y[0]}"),
         *([([*there, *crossed], f"its inputs are in the order {u[1]}, {u[0]}, not {u[0]}, {u[1]}")] if u[1:] else []),
     ]
