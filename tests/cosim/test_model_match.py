@@ -66,12 +66,14 @@ def test_counted_linear_plants_of_both_kinds_are_judged(exported, plant):
         (wired(back=" * -1"), "the sign of command is the opposite"),
         (wired(more=" * 57.29578"), "encoder arrives in degrees instead of rad"),
         (wired(back=" * 1000"), "command acts in thousands of V"),
-        (wired("rate"), "its states are in the order rate, angle, torque, not angle, rate, torque"),
+        (wired("rate", " * 1.1"), "its states are in the order rate, angle, torque, not angle, rate, torque"),
     ):
         with pytest.raises(
             UserError, match=f"{OTHER} model than the plant's, as it is wired: {problem}; controller.other"
         ):
             built(exported, plant, wires=wires)
+    with pytest.raises(UserError, match="plant.rate -> controller.encoder must join equal units, found rad/s and rad"):
+        built(exported, plant, wires=wired("rate"))
     assert built(exported, plant, wires=wired(back=" * -1"), controller__other_model=True).components
 
 

@@ -29,4 +29,5 @@ def test_numbers_in_another_unit_are_told_by_their_factor(unit, factor, said):
 
 
 def test_other_factors_are_no_units():
-    assert math.isnan(nearest(10.0, slips("V"))) and math.isnan(nearest(0.0, slips("V")))
+    assert math.isnan(nearest(10.0, slips("V")))
+    assert math.isnan(nearest(0.0, slips("V")))
