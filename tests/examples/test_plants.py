@@ -247,7 +247,7 @@ def _check_judgement(scenario, system, plant, folder):
     y, u = ([q.name for q in quantities] for quantities in (system.outputs, system.inputs))
     there = [f"plant.{name} -> controller.{name}" for name in y]
     back = [f"controller.{name} -> plant.{name}" for name in u]
-    swapped = [f"plant.{y[1 - i] if i < 2 else name} -> controller.{name}" for i, name in enumerate(y)]
+    swapped = [f"plant.{y[1 - i] if i < 2 else name} -> controller.{name} * 1.05" for i, name in enumerate(y)]
     crossed = [f"controller.{name} -> plant.{other}" for name, other in zip(u, reversed(u), strict=True)]
     other = "model than the plant's, as it is wired: "
     opposite = f"{other}the sign of {u[0]} is the opposite"
