@@ -713,6 +713,7 @@ def test_a_set_point_moves_the_carts_and_a_disturbance_pushes_one(carts, tmp_pat
         ({"evaluate.errors": ["plant.v1"]}, ["v1"]),
     ):
         about = evaluation(moved.changed({"evaluate.errors": None} | changes), folder, where)
+        assert about is not None
         assert [error.signal for error in about.errors] == [f"plant.{name}" for name in judged]
     with pytest.raises(UserError, match=r"disturbance\.input must say .* one of f1_disturbance, f2_disturbance"):
         run_scenario(moved.changed({"disturbance.input": None}), folder, where)
