@@ -46,7 +46,8 @@ class EvaluateSection(BaseModel):
 
     errors: tuple[str, ...] | None = Field(
         None,
-        description="signals that should be 0, or at their set-points; none: those that are wired to the controller",
+        description="signals that should be 0, or at their set-points; none: those that are wired to the controller, where "
+        "a set-point is given those that have one",
     )
     controls: tuple[str, ...] | None = Field(
         None, description="signals whose size and variation cost; none: the controller's outputs that are wired"
@@ -149,7 +150,8 @@ class Evaluation(_Part, frozen=True):
     @model_validator(mode="after")
     def _a_scale_each(self) -> Self:
         if self.scales is not None and len(self.scales) != len(self.errors):
-            raise ValueError(f"must have a scale for each of {len(self.errors)} errors, found {len(self.scales)}")
+            names = ", ".join(error.signal for error in self.errors)
+            raise ValueError(f"must have a scale for each of the errors {names}, found {len(self.scales)}")
         groups = len(self.error_groups)
         if self.tolerances is not None and len(self.tolerances) != groups:
             raise ValueError(f"must have a tolerance for each of {groups} |e|, found {len(self.tolerances)}")
@@ -253,7 +255,7 @@ def evaluation_of(
     not exist.
     """
     find = _Found(variables, start, wires, {s.target for s in signals if s.recorded}, angles)
-    errors = find.measured if section.errors is None else section.errors
+    errors = find.judged if section.errors is None else section.errors
     controls = find.acting if section.controls is None else section.controls
     labels = _labels([*errors, *controls])
     return checked(
@@ -296,9 +298,20 @@ class _Found:
         self.given = {true.get(w.source, w.source): w for w in to_controller if self._is_real(w.source)}
 
     @property
-    def measured(self) -> list[str]:
-        """The real numbers that the controller is given, but for set-points."""
-        return list(self.given)
+    def judged(self) -> list[str]:
+        """The real numbers that the controller is given; those that have a set-point where one of them is told its own.
+
+        The state at rest under a set-point moves the other outputs off the equilibrium, except the pendulum's.
+        """
+        points = {name: f"{wire.target.partition('.')[2]}{SET_POINT}" for name, wire in self.given.items()}
+        held = [name for name, point in points.items() if point in self.variables[CONTROLLER]]
+        return held if not self.angles and any(self._is_told(points[name]) for name in held) else list(self.given)
+
+    def _is_told(self, point: str) -> bool:
+        """Return whether a set-point has a wire or a signal, or starts beside the equilibrium."""
+        target, own = f"{CONTROLLER}.{point}", self.start.get(CONTROLLER, {})
+        rest = own.get(f"{point.removesuffix(SET_POINT)}_equilibrium", 0.0)
+        return target in self.sources or target in self.driven or own.get(point, rest) != rest
 
     @property
     def acting(self) -> list[str]:

@@ -6,6 +6,7 @@ The same entries describe every system: components that are FMUs, wires, signals
 from __future__ import annotations
 
 import filecmp
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,9 +19,10 @@ from filing.origin import WRITTEN
 from fmu_export.files import is_file, is_folder
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
+from ihc_fmu.sampled_unit import check_step
 from plant_fmu.parameters import PARAMETER_SETS
 
-from . import parameter_files, pendulum, ssp, wiring
+from . import certified, parameter_files, pendulum, ssp, wiring
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, TRUE, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
@@ -34,6 +36,9 @@ from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, Variables, WireSection
 
 BUILT_IN = Path(__file__).parent / "scenarios"
+
+LOWER = "_lower"
+"""How the names of parameters end that bound a controller's commands."""
 
 NONE = "none"
 """What TOML, which has no null, says for nothing."""
@@ -279,9 +284,12 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, con
 
     `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
     does not say is as it was exported. Raises UserError for files that do not exist or say what cannot
-    be, designs that fail their certificate, and a controller that was designed for another model than the plant's.
+    be, designs that fail their certificate, a controller that was designed for another model than the plant's, and a
+    sample time of one of our controllers that does not fit the run's step.
     """
-    return _Plan(scenario, fmus, folder, controller).system()
+    system = _Plan(scenario, fmus, folder, controller).system()
+    _check_sample_time(system, scenario.run.step)
+    return system
 
 
 def evaluation(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Evaluation | None:
@@ -502,15 +510,46 @@ def _check_model(system: System) -> None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")
 
 
+def _check_sample_time(system: System, step: float) -> None:
+    """Raise UserError where one of our controllers cannot sample in communication steps of `step` [s]."""
+    for component in system.components:
+        if component.name == CONTROLLER:
+            own = _own_values(component.path)
+            time = component.start.get("sample_time", own.get("sample_time"))
+            if certified.certified_names(own) and isinstance(time, int | float) and 0.0 < time < math.inf:
+                try:
+                    check_step(time, step)
+                except UserError as error:
+                    raise UserError(f"run.step does not fit the controller: {error}") from None
+
+
+def _loose_controls(system: System) -> list[str]:
+    """Return a sentence for each control of one of our controllers that is wired to nothing, though there is a plant."""
+    from .fmu import describe  # noqa: PLC0415
+
+    there = {component.name: component.path for component in system.components}
+    if not {CONTROLLER, PLANT} <= there.keys():
+        return []
+    own, wired = _own_values(there[CONTROLLER]), {wire.source for wire in system.wires}
+    controls = [
+        v.name
+        for v in describe(there[CONTROLLER])[1].modelVariables
+        if v.causality == "output"
+        and (f"{v.name}{LOWER}" in own or (pendulum.is_controller(own) and v.name == "voltage"))
+    ]
+    loose = [f"{CONTROLLER}.{name}" for name in controls if f"{CONTROLLER}.{name}" not in wired]
+    return [f"the control {name} acts on nothing: no wire leads from it" for name in loose]
+
+
 def remarks(system: System, scenario: Scenario) -> list[str]:
     """Return what is to be known of a scenario's system before it runs, a sentence each.
 
-    Of its controller on its plant, although they fit, see `model_match`; of start values that no certificate covers.
+    Of its controller on its plant, although they fit, see `model_match`; of controls that act on nothing; of start values
+    that no certificate covers.
     """
-    from . import certified  # noqa: PLC0415
     from .model_match import remarks as found  # noqa: PLC0415 - heavy
 
-    said = found(system)
+    said = [*found(system), *_loose_controls(system)]
     for component in system.components:
         if component.name == CONTROLLER:
             said += certified.remarks(_own_values(component.path), scenario.controller.start)

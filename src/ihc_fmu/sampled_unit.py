@@ -38,6 +38,21 @@ class SampledState:
     fault: int = Fault.NONE
 
 
+def check_step(sample_time: float, step: float) -> None:
+    """Raise UserError where neither the sample time nor the communication step [s] is a multiple of the other."""
+    ratio = step / sample_time if step > sample_time else sample_time / step
+    if step > sample_time and ratio > MAX_SAMPLES + 0.5:
+        raise UserError(
+            f"a communication step must not exceed {MAX_SAMPLES} samples of sample_time = {sample_time:g} s, "
+            f"found {step:g} s"
+        )
+    if not math.isfinite(ratio) or abs(ratio - round(ratio)) > 1e-6 * ratio:
+        raise UserError(
+            f"sample_time must be a multiple of the communication step, or the step of it, found sample_time = "
+            f"{sample_time:g} s and a communication step of {step:g} s"
+        )
+
+
 class SampledUnit:
     """Samples its inputs on a clock of its own, and holds its commands between samples.
 
@@ -63,7 +78,8 @@ class SampledUnit:
         multiple of the other.
         """
         if step != self.checked_step:
-            self._check_step(step)
+            check_step(self.sample_time, step)
+            self.checked_step = step
         state = self.state
         samples = step / self.sample_time
         beyond = samples - 0.5 if samples > 1.0 else 0.5 * samples
@@ -93,17 +109,3 @@ class SampledUnit:
         """Restore what `get_state` returned, also after a passage through JSON."""
         fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in state.items()}
         self.state = type(self.state)(**fields)
-
-    def _check_step(self, step: float) -> None:
-        ratio = step / self.sample_time if step > self.sample_time else self.sample_time / step
-        if step > self.sample_time and ratio > MAX_SAMPLES + 0.5:
-            raise UserError(
-                f"a communication step must not exceed {MAX_SAMPLES} samples of sample_time = {self.sample_time:g} s, "
-                f"found {step:g} s"
-            )
-        if not math.isfinite(ratio) or abs(ratio - round(ratio)) > 1e-6 * ratio:
-            raise UserError(
-                f"sample_time must be a multiple of the communication step, or the step of it, found sample_time = "
-                f"{self.sample_time:g} s and a communication step of {step:g} s"
-            )
-        self.checked_step = step

@@ -239,7 +239,7 @@ def test_with_encoders_and_filter_the_homogeneous_law_rests_closer_to_upright(sw
 
 
 def test_a_run_that_fails_in_a_worker_fails_the_comparison_with_its_cause(study, fmus):
-    wrong = Study(study.scenario.changed({"controller.start.sample_time": 0.0015}), study.folder, 2)
-    with pytest.raises(SimulationError, match="sample_time must be a multiple of the communication step") as failure:
+    wrong = Study(study.scenario.changed({"plant.start.measurement_delay": 0.0015}), study.folder, 2)
+    with pytest.raises(SimulationError, match="measurement_delay must be a multiple of the communication") as failure:
         compare([wrong], fmus, ("LC",), 1)
-    assert (failure.value.instance, failure.value.time, len(failure.value.result.time)) == ("controller", 0.0, 1)
+    assert (failure.value.instance, failure.value.time, len(failure.value.result.time)) == ("plant", 0.0, 1)

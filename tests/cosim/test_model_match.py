@@ -13,6 +13,7 @@ from cosim import plant_as_wired
 from cosim.export import Kind
 from cosim.model_match import remarks
 from cosim.scenario import Scenario, build_system
+from cosim.scenario import remarks as notes
 from cosim.system_export import export_system
 from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
@@ -62,6 +63,9 @@ def wired(output="encoder", more="", back=""):
 def test_counted_linear_plants_of_both_kinds_are_judged(exported, plant):
     system = built(exported, plant, plant__start={"angle_0": 0.5, "encoder_resolution_offset": 0.2})
     assert remarks(system) == []
+    loose = built(exported, plant, wires=wired()[:1])
+    said = "the control controller.command acts on nothing: no wire leads from it"
+    assert [notes(one, Scenario()) for one in (system, loose)] == [[], [said]]
     for wires, problem in (
         (wired(back=" * -1"), "the sign of command is the opposite"),
         (wired(more=" * 57.29578"), "encoder arrives in degrees instead of rad"),

@@ -268,6 +268,17 @@ def test_a_scenario_becomes_components_wires_and_start_values(fmus):
     assert (tuple(system.wires), tuple(system.signals)) == (WIRES["encoders"], ())
 
 
+def test_a_step_in_which_the_controller_cannot_sample_is_refused_before_the_run(fmus):
+    scenario = load_scenario("tilt")[0].changed({"controller.start.sample_time": 2e-3})
+    for step in (1e-3, 4e-3):
+        build_system(scenario.changed({"run.step": step, "run.duration": 1.2}), fmus)
+    problem = (
+        r"^run\.step does not fit the controller: sample_time must be a multiple .* 0\.002 s and .* step of 0\.003 s"
+    )
+    with pytest.raises(UserError, match=problem):
+        build_system(scenario.changed({"run.step": 3e-3, "run.duration": 1.2}), fmus)
+
+
 @pytest.mark.parametrize("name", PARAMETER_SETS)
 def test_parameter_sets_become_start_values_of_the_plant(fmus, name):
     scenario = Scenario().changed({"plant.parameters": name, "plant.start.m_p": 0.03})

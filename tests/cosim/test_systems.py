@@ -17,7 +17,7 @@ from cosim.fmu import start_values_of
 from cosim.metrics import evaluate, quantities_of
 from cosim.overlay import compared, lay
 from cosim.results import Result
-from cosim.scenario import build_system, load_scenario, run_scenario, with_tolerances
+from cosim.scenario import build_system, evaluation, load_scenario, run_scenario, with_tolerances
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.block_form import block_form
 from ihc_fmu.regulator.interface import Shape
@@ -342,7 +342,7 @@ def test_signals_reach_their_inputs_and_are_recorded(units, scenario, tmp_path, 
     e = result["plant.position"] - result["controller.position_setpoint"]
     about = evaluation_in(result)
     assert about.errors[0].set_point == "controller.position_setpoint"
-    quantity = quantities_of(about)["integral_e2[plant.position]"]
+    quantity = quantities_of(about)["integral_e2"]  # the speed, which has no set-point, is not judged
     assert quantity.unit == "m² s"
     assert evaluate(result).values[quantity.name] == np.trapezoid(e**2, result.time)
 
@@ -494,7 +494,10 @@ def test_several_controls_add_up_where_they_have_one_unit(units, scenario):
             {"evaluate.errors": ["plant.force"]},
             r"evaluate\.errors takes outputs, and inputs with a signal; plant\.force is an input",
         ),
-        ({"evaluate.scales": [1.0]}, r"^evaluate: must have a scale for each of 2 errors, found 1$"),
+        (
+            {"evaluate.scales": [1.0]},
+            r"must have a scale for each of the errors plant\.position, plant\.speed, found 1$",
+        ),
         ({"evaluate.tolerances": [1.0]}, r"^evaluate: must have a tolerance for each of 2 \|e\|, found 1$"),
         ({"evaluate.errors": []}, r"evaluate\.errors must have at least one entry, found none"),
         ({"evaluate.scales": [0.0, 1.0]}, r"evaluate\.scales\.0 must be greater than 0"),
@@ -508,7 +511,7 @@ def test_a_wrong_evaluation_is_named(units, scenario, changes, problem):
 
 def test_a_constant_set_point_counts(units, scenario):
     chosen, folder = scenario(CART_SCENARIO)
-    held = {"controller.start.position_setpoint": 0.5, "evaluate.errors": ["plant.position"], "run.duration": 30.0}
+    held = {"controller.start.position_setpoint": 0.5, "run.duration": 30.0}
     found = evaluate(run_scenario(chosen.changed(held), units, folder))
     assert found.steady_rms < 1e-6
 
@@ -702,6 +705,16 @@ def test_a_set_point_moves_the_carts_and_a_disturbance_pushes_one(carts, tmp_pat
     assert [e.set_point for e in evaluation_in(result).errors] == ["controller.x1_setpoint", "controller.x2_setpoint"]
     assert abs(result["plant.x1"][3999] - 0.3) < 1e-2
     assert evaluate(result).steady_rms < 0.05
+    for changes, judged in (  # with a set-point only what has one: the others' rest moves with it
+        ({}, ["x1", "x2"]),
+        ({"signals": []}, ["x1", "x2", "v1", "v2"]),
+        ({"signals": [], "controller.start.x2_setpoint": 0.0}, ["x1", "x2", "v1", "v2"]),
+        ({"signals": [], "controller.start.x2_setpoint": 0.3}, ["x1", "x2"]),
+        ({"evaluate.errors": ["plant.v1"]}, ["v1"]),
+    ):
+        about = evaluation(moved.changed({"evaluate.errors": None} | changes), folder, where)
+        assert about is not None
+        assert [error.signal for error in about.errors] == [f"plant.{name}" for name in judged]
     with pytest.raises(UserError, match=r"disturbance\.input must say .* one of f1_disturbance, f2_disturbance"):
         run_scenario(moved.changed({"disturbance.input": None}), folder, where)
     done = ended("ssp", folder / "carts.toml", "--fmus", folder, "-o", "carts.ssp", cwd=tmp_path)
