@@ -239,6 +239,26 @@ def as_value(variable: ScalarVariable, value: Value | str) -> Value:
     return int(value) if kind == "Integer" else float(value)
 
 
+def _not_settable(variable: ScalarVariable) -> str | None:
+    """Return why a variable cannot be set before the initialization; None: it can.
+
+    Set can be parameters, inputs, and what begins with its start attribute (FMI 2.0: initial = "exact", "approx").
+    """
+    causality, initial = variable.causality, variable.initial
+    if variable.variability == "constant":
+        return "is a constant and cannot be set"
+    if causality == "independent":
+        return "is the independent variable, the time, and cannot be set"
+    if causality == "calculatedParameter":
+        return "is a parameter that the FMU calculates from others, and has no start value to set"
+    if causality in ("parameter", "input") or initial in ("exact", "approx"):
+        return None
+    article = "an" if causality == "output" else "a"
+    return (
+        f'is {article} {causality} variable that the FMU calculates (initial = "{initial}"), with no start value to set'
+    )
+
+
 @dataclass(eq=False)
 class Port:
     """A buffer that one FMI call fills or empties: variables of one type, in a fixed order."""
@@ -297,12 +317,16 @@ class Instance:
         return next((int(i.value) for i in getattr(declared, "items", ()) if i.name == item), None)
 
     def checked_start(self, start: Mapping[str, Value | str]) -> dict[str, Value]:
-        """Return start values in their types; raise UserError for unknown names, outputs and inadmissible values."""
+        """Return start values in their types.
+
+        Raises UserError for unknown names, for variables that FMI does not let be set before the initialization, and for
+        inadmissible values.
+        """
         checked = {}
         for name, value in start.items():
             variable = self.variable(name)
-            if variable.causality not in ("parameter", "input"):
-                raise UserError(f"{self.name}.{name} is an {variable.causality} and has no start value to set")
+            if (reason := _not_settable(variable)) is not None:
+                raise UserError(f"{self.name}.{name} {reason}")
             try:
                 checked[name] = as_value(variable, value)
             except UserError as error:
