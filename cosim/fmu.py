@@ -28,6 +28,7 @@ from fmu_export.variables import did_you_mean
 
 from .archives import unpack
 from .errors import UserError
+from .pendulum_files import PENDULUM_FMUS
 from .python_wrapper import finalize_at_exit, keep_globals
 
 Value = float | int | bool | str
@@ -110,14 +111,21 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     return folder, description
 
 
-def describe_any(path: Path) -> tuple[str, ModelDescription]:
-    """Return what `describe` does, also for an FMU that is for model exchange only."""
+def found(path: Path, advice: str = "") -> os.stat_result:
+    """Return the status of an FMU's file; raise UserError, with `advice`, where there is none or it cannot be read."""
     try:
-        status = path.stat()
+        return path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
+        made = "`qube-ihc export` makes the project's FMUs" if path.name in PENDULUM_FMUS else ""
+        hints = ", ".join(filter(None, (made, advice)))
+        raise UserError(f"FMU {path} does not exist{'; ' if hints else ''}{hints}") from None
     except OSError as error:
         raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
+
+
+def describe_any(path: Path) -> tuple[str, ModelDescription]:
+    """Return what `describe` does, also for an FMU that is for model exchange only."""
+    status = found(path)
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
         if key not in _unpacked or not Path(_unpacked[key][0], "modelDescription.xml").is_file():

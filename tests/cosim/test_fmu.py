@@ -58,9 +58,11 @@ def a_zip(path, **files):
 # Files
 
 
-def test_a_missing_fmu_is_named_with_the_command_that_makes_it(tmp_path):
-    with pytest.raises(UserError, match=r"nowhere\.fmu does not exist; `qube-ihc export`"):
+def test_a_missing_fmu_is_named_and_one_of_the_projects_with_the_command_that_makes_it(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere\.fmu does not exist$"):
         describe(tmp_path / "nowhere.fmu")
+    with pytest.raises(UserError, match=r"QubeServo2\.fmu does not exist; `qube-ihc export` makes the project's FMUs$"):
+        describe(tmp_path / "QubeServo2.fmu")
 
 
 def test_what_is_no_fmu_is_refused_by_its_name(tmp_path):
@@ -178,9 +180,8 @@ def test_unknown_names_suggest_known_ones_and_outputs_have_no_start(controller):
         controller.checked_start({"a_mim": 0.5})
     with pytest.raises(UserError) as refusal:
         controller.checked_start({"voltage": 0.0})
-    assert str(refusal.value) == (
-        'controller.voltage is an output variable that the FMU calculates (initial = "calculated"), with no start value to set'
-    )
+    rule = 'an output variable that the FMU calculates (initial = "calculated"), with no start value to set'
+    assert str(refusal.value) == f"controller.voltage is {rule}"
 
 
 @pytest.mark.parametrize("begins", ["output", "local"])

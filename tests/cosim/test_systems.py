@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import os
 import re
 from pathlib import Path
 
@@ -762,6 +763,8 @@ def test_a_result_is_made_again_with_its_own_scenario(units, scenario, tmp_path)
     result = run_scenario(chosen.changed({"run.duration": 1.0}), units, folder)
     result.metadata["fmus"]["plant"]["guid"] = "{earlier}"
     result.save(tmp_path / "run.csv")
+    missing = "FMU fmus/cart_controller.fmu does not exist; --fmus names the folder of the scenario's FMUs"
+    assert sentence(ended("overlay", "run.csv", cwd=tmp_path)) == missing.replace("/", os.sep)
     done = ended("overlay", "run.csv", "--fmus", units, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr.strip() == "note: cart.fmu is not the file that the run was made with (another GUID)"
