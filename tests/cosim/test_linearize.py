@@ -578,13 +578,13 @@ def test_values_may_be_multiples_of_pi(text, value):
 def test_a_counted_output_of_the_linear_plant_is_named_with_what_turns_it_off(tmp_path):
     system = System(
         name="cart",
-        A=[[0, 1], [0, -1]],
-        B=[[0], [1]],
-        C=[[1, 0]],
-        K=[[-1, -1]],
+        A=np.array([[0, 1], [0, -1]], float),
+        B=np.array([[0], [1]], float),
+        C=np.array([[1, 0]], float),
+        K=np.array([[-1, -1]], float),
         states=("x", "v"),
         outputs=("x",),
-        resolutions=[0.01],
+        resolutions=np.array([0.01], float),
     )
     export_system(inverse_design(system, chosen_options(system).options), tmp_path)
     fmu = tmp_path / "cart_linear_plant.fmu"
