@@ -582,8 +582,8 @@ def test_a_counted_output_of_the_linear_plant_is_named_with_what_turns_it_off(tm
         B=np.array([[0], [1]], float),
         C=np.array([[1, 0]], float),
         K=np.array([[-1, -1]], float),
-        states=("x", "v"),
-        outputs=("x",),
+        states=(Quantity("x"), Quantity("v")),
+        outputs=(Quantity("x"),),
         resolutions=np.array([0.01], float),
     )
     export_system(inverse_design(system, chosen_options(system).options), tmp_path)
