@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .errors import UserError
+from .pendulum_files import PENDULUM_FMUS
 
 if TYPE_CHECKING:
     from fmu_export.guarded_slave import GuardedSlave
@@ -30,7 +31,7 @@ class Smc(StrEnum):
     linear_poles = "linear-poles"
 
 
-EXPORTED = ("QubeServo2.fmu", "IhcController.fmu", "QubeWithController.ssp")
+EXPORTED = (*PENDULUM_FMUS, "QubeWithController.ssp")
 """The files that an export writes."""
 
 

@@ -28,6 +28,7 @@ from fmu_export.variables import did_you_mean
 
 from .archives import unpack
 from .errors import UserError
+from .pendulum_files import PENDULUM_FMUS
 from .python_wrapper import finalize_at_exit, keep_globals
 
 Value = float | int | bool | str
@@ -110,14 +111,21 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     return folder, description
 
 
-def describe_any(path: Path) -> tuple[str, ModelDescription]:
-    """Return what `describe` does, also for an FMU that is for model exchange only."""
+def found(path: Path, advice: str = "") -> os.stat_result:
+    """Return the status of an FMU's file; raise UserError, with `advice`, where there is none or it cannot be read."""
     try:
-        status = path.stat()
+        return path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise UserError(f"FMU {path} does not exist; `qube-ihc export` makes the project's FMUs") from None
+        made = "`qube-ihc export` makes the project's FMUs" if path.name in PENDULUM_FMUS else ""
+        hints = ", ".join(filter(None, (made, advice)))
+        raise UserError(f"FMU {path} does not exist{'; ' if hints else ''}{hints}") from None
     except OSError as error:
         raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
+
+
+def describe_any(path: Path) -> tuple[str, ModelDescription]:
+    """Return what `describe` does, also for an FMU that is for model exchange only."""
+    status = found(path)
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
         if key not in _unpacked or not Path(_unpacked[key][0], "modelDescription.xml").is_file():
@@ -239,6 +247,26 @@ def as_value(variable: ScalarVariable, value: Value | str) -> Value:
     return int(value) if kind == "Integer" else float(value)
 
 
+def _not_settable(variable: ScalarVariable) -> str | None:
+    """Return why a variable cannot be set before the initialization; None: it can.
+
+    Set can be parameters, inputs, and what begins with its start attribute (FMI 2.0: initial = "exact", "approx").
+    """
+    causality, initial = variable.causality, variable.initial
+    if variable.variability == "constant":
+        return "is a constant and cannot be set"
+    if causality == "independent":
+        return "is the independent variable, the time, and cannot be set"
+    if causality == "calculatedParameter":
+        return "is a parameter that the FMU calculates from others, and has no start value to set"
+    if causality in ("parameter", "input") or initial in ("exact", "approx"):
+        return None
+    article = "an" if causality == "output" else "a"
+    return (
+        f'is {article} {causality} variable that the FMU calculates (initial = "{initial}"), with no start value to set'
+    )
+
+
 @dataclass(eq=False)
 class Port:
     """A buffer that one FMI call fills or empties: variables of one type, in a fixed order."""
@@ -297,12 +325,16 @@ class Instance:
         return next((int(i.value) for i in getattr(declared, "items", ()) if i.name == item), None)
 
     def checked_start(self, start: Mapping[str, Value | str]) -> dict[str, Value]:
-        """Return start values in their types; raise UserError for unknown names, outputs and inadmissible values."""
+        """Return start values in their types.
+
+        Raises UserError for unknown names, for variables that FMI does not let be set before the initialization, and for
+        inadmissible values.
+        """
         checked = {}
         for name, value in start.items():
             variable = self.variable(name)
-            if variable.causality not in ("parameter", "input"):
-                raise UserError(f"{self.name}.{name} is an {variable.causality} and has no start value to set")
+            if (reason := _not_settable(variable)) is not None:
+                raise UserError(f"{self.name}.{name} {reason}")
             try:
                 checked[name] = as_value(variable, value)
             except UserError as error:

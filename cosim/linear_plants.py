@@ -17,10 +17,10 @@ from fmpy.model_description import ScalarVariable
 from .derivative_checks import NOTABLE_ERROR, check_contradiction, check_smooth, relative
 from .derivatives import EvaluationError, Jacobian, differences, jacobian
 from .errors import UserError
-from .fmu import FmuError, Value
+from .fmu import FmuError, Value, describe_any
 from .linear_model import LinearModel, reduced
 from .model_exchange import ModelInstance
-from .plant_variables import bound_of, index_of, nominal_of, quantities, real_inputs, real_outputs
+from .plant_variables import bound_of, index_of, nominal_of, quantities, real_inputs, real_outputs, start_of
 
 Array = np.ndarray
 
@@ -50,6 +50,12 @@ class CoarseModel:
     smooth: Array
 
 
+EXCHANGE_ONLY = (
+    "the FMU is for model exchange only and can be designed for, but not run: export it for co-simulation too, or compare "
+    "on the linear plant that `export --design` writes"
+)
+"""What is said of a plant whose FMU has no solver."""
+
 UNEVEN = 0.3
 """By which part of its largest change an output may change otherwise to the other side and be called smooth."""
 
@@ -66,6 +72,7 @@ class Plant(ABC):
 
     def __init__(self, path: Path, names: Taking, start: dict[str, Value]) -> None:
         self.path, self.start = path, start
+        self.variables = {v.name: v for v in describe_any(path)[1].modelVariables}
         self.states, self.inputs, self.outputs = names.states, names.inputs, names.outputs
         self.n, self.m = len(self.states), len(self.inputs)
         self.names = [v.name for v in (*self.states, *self.inputs)]
@@ -114,6 +121,22 @@ class Plant(ABC):
     def close(self) -> None:
         """Free what the FMU holds."""
 
+    def _counting(self, C: Array) -> list[str]:
+        """Return what to do about outputs that do not change because they are counted, as the linear plants name it."""
+        found = []
+        for output, row in zip(self.outputs, C, strict=True):
+            resolution = self.variables.get(f"{output.name}_resolution")
+            if row.any() or resolution is None or resolution.causality != "parameter":
+                continue
+            value = self.start.get(resolution.name, start_of(resolution))
+            true = f"{output.name}_true"
+            other = f", or take --output {true}" if true in self.variables else ""
+            if value:
+                found.append(
+                    f"{output.name} is counted ({resolution.name} = {value:g}): --set {resolution.name}=0{other}"
+                )
+        return found
+
     def model(self, z: Array, matrices: tuple[Array, ...], y: Array, notes: list[str], **about: Any) -> LinearModel:
         """Return the model with names, units and limits; outputs that are states have exactly their rows and values."""
         A, B, C, D = matrices
@@ -129,7 +152,7 @@ class Plant(ABC):
             inputs=quantities(self.inputs),
             outputs=quantities(self.outputs),
             residual=self.rates(z),
-            notes=(*notes, *_blind(self.outputs, C)),
+            notes=(*notes, *_blind(self.outputs, C), *self._counting(C)),
             lower=np.array([bound_of(v, "min", -math.inf) for v in self.inputs]),
             upper=np.array([bound_of(v, "max", math.inf) for v in self.inputs]),
             **about,
@@ -195,6 +218,8 @@ class ModelExchangePlant(Plant):
         A, B = J[: self.n, : self.n], J[: self.n, self.n :]
         y = self._values(z)[self.n :]
         C, D = J[self.n :, : self.n], J[self.n :, self.n :]
+        if self._instance.description.coSimulation is None:
+            notes.append(EXCHANGE_ONLY)
         whole = self.model(z, (A, B, C, D), y, notes, error=worst, method=f"model exchange, {method}")
         return reduced(whole, self.kept)
 

@@ -17,7 +17,7 @@ from .master import Coupling
 from .metrics import missing_signals, wrapped
 from .provenance import provenance
 from .results import Result
-from .scenario import Scenario, build_system, files, run_scenario
+from .scenario import Scenario, build_system, check_found, files, run_scenario
 from .typed import checked
 
 LEAST_ROWS = 2
@@ -154,4 +154,5 @@ def other_files(result: Result, scenario: Scenario, fmus: Path, folder: Path) ->
     """Return the names of the FMUs that are not the files that the run was made with, by their GUIDs."""
     used = provenance(result).fmus
     paths = files(scenario, fmus, folder).fmus
+    check_found(paths)
     return [path.name for name, path in paths.items() if name in used and describe(path)[1].guid != used[name].guid]

@@ -273,6 +273,14 @@ def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Files:
     )
 
 
+def check_found(fmus: Mapping[str, Path]) -> None:
+    """Raise UserError for an FMU of a scenario, by its component, that is not there."""
+    from .fmu import found  # noqa: PLC0415
+
+    for path in fmus.values():
+        found(path, "--fmus names the folder of the scenario's FMUs")
+
+
 def _beside_or_here(file: str, folder: Path | None) -> Path:
     """Return the path of a file that a scenario names: beside it if it is there, else in the current folder."""
     beside = (folder or Path()) / file
@@ -313,6 +321,7 @@ class _Plan:
             self.paths[CONTROLLER] = controller
         if not self.paths:
             raise UserError("a scenario needs at least one component")
+        check_found(self.paths)
         self.own = {name: _own_values(path) for name, path in self.paths.items()}
         self.swings = PLANT in self.own and pendulum.is_plant(self.own[PLANT])
         self.balances = CONTROLLER in self.own and pendulum.is_controller(self.own[CONTROLLER])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from xml.sax.saxutils import quoteattr
 
 import fmpy
@@ -22,7 +22,7 @@ C = r"""
 #define EXPORT __attribute__((visibility("default")))
 #endif
 /* reals: u from 0 on, y from 20, x0 from 40, a_min 60, b_max 61, law (integer) 62, mode (integer) 63 */
-enum { N = %(n)d, M = %(m)d, P = %(p)d, PLACES = 64 };
+enum { N = %(n)d, M = %(m)d, P = %(p)d, PLACES = 64, START = %(place)d, SHOWN = %(shown)d };
 static const double A[] = {%(A)s}, B[] = {%(B)s}, CC[] = {%(C)s}, D[] = {%(D)s};
 typedef struct { double reals[PLACES], x[N + 1]; int integers[PLACES]; } unit;
 static unit units[64];
@@ -45,6 +45,7 @@ static void put(unit *v)
         for (int j = 0; j < M; j++) { y += gain * D[i * M + j] * v->reals[j]; }
         v->reals[20 + i] = y;
     }
+    for (int i = 0; SHOWN && i < N; i++) { v->reals[START + i] = v->x[i]; }
     v->integers[63] = 2;
 }
 EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
@@ -63,7 +64,7 @@ EXPORT void fmi2FreeInstance(void *u) { (void)u; }
 EXPORT int fmi2ExitInitializationMode(void *c)
 {
     unit *v = c;
-    for (int i = 0; i < N; i++) { v->x[i] = v->reals[40 + i]; }
+    for (int i = 0; i < N; i++) { v->x[i] = v->reals[START + i]; }
     put(v);
     return 0;
 }
@@ -138,9 +139,11 @@ def linear_fmu(
     *,
     law: bool = False,
     starts: Sequence[str] = (),
+    begins: Literal["parameter", "output", "local"] = "parameter",
 ) -> Path:
     """Write the FMU of x' = A x + B u, y = C x + D u; in- and outputs are (name, unit), `x0` becomes `starts` or x0[1], ...
 
+    `begins`: those are parameters, locals with a start value, or it is the outputs, here y = x, that have one.
     With `law` it is a controller with an enumeration law, LC or IHC (its gain over a_min), a_min, b_max and a mode.
     """
     n, m, p = len(x0), len(inputs), len(outputs)
@@ -151,13 +154,24 @@ def linear_fmu(
     reals = [0.0] * 64
     for i, (name, _) in enumerate(inputs):
         reals[i] = (start or {}).get(name, 0.0)
-    reals[40 : 40 + n], reals[60:62] = list(map(float, x0)), [0.5, 1.0]
-    source = C % {**numbers, "n": n, "m": m, "p": p, "starts": ", ".join(map(repr, reals)), "law": 1}
+    place = 20 if begins == "output" else 40
+    reals[place : place + n], reals[60:62] = list(map(float, x0)), [0.5, 1.0]
+    source = C % {
+        **numbers,
+        "n": n,
+        "m": m,
+        "p": p,
+        "starts": ", ".join(map(repr, reals)),
+        "law": 1,
+        "place": place,
+        "shown": int(begins == "local"),
+    }
     source += "\n".join(f"GOOD(fmi2{name})" for name in GOOD.split()) + "\n"
     rows = [_real(i, name, "input", unit, reals[i]) for i, (name, unit) in enumerate(inputs)]
-    rows += [_real(20 + i, name, "output", unit) for i, (name, unit) in enumerate(outputs)]
-    named = starts or [f"x0[{i + 1}]" for i in range(n)]
-    rows += [_real(40 + i, name, "parameter", None, x) for i, (name, x) in enumerate(zip(named, x0, strict=True))]
+    known = x0 if begins == "output" else [None] * p
+    rows += [_real(20 + i, name, "output", unit, known[i]) for i, (name, unit) in enumerate(outputs)]
+    named = [] if begins == "output" else starts or [f"x0[{i + 1}]" for i in range(n)]
+    rows += [_real(40 + i, name, begins, None, x0[i]) for i, name in enumerate(named)]
     if law:
         rows += [_real(60, "a_min", "parameter", None, 0.5, 'min="0.01" '), _real(61, "b_max", "parameter", None, 1.0)]
         rows += [_enumeration(62, "law", "parameter", "Law", 'start="1" '), _enumeration(63, "mode", "output", "Mode")]
@@ -198,7 +212,8 @@ def _real(
         more + ("" if start is None else f'start="{start!r}" ') + ("" if unit is None else f"unit={quoteattr(unit)}")
     )
     variability = "fixed" if causality == "parameter" else "continuous"
-    return _variable(reference, name, causality, variability, f"<Real {about}/>")
+    exact = "" if start is None or causality in ("parameter", "input") else 'initial="exact" '
+    return _variable(reference, name, causality, variability, f"<Real {about}/>", exact)
 
 
 def _enumeration(reference: int, name: str, causality: str, kind: str, more: str = "") -> str:
@@ -206,8 +221,8 @@ def _enumeration(reference: int, name: str, causality: str, kind: str, more: str
     return _variable(reference, name, causality, variability, f'<Enumeration declaredType="{kind}" {more}/>')
 
 
-def _variable(reference: int, name: str, causality: str, variability: str, declared: str) -> str:
+def _variable(reference: int, name: str, causality: str, variability: str, declared: str, initial: str = "") -> str:
     return (
         f'<ScalarVariable name={quoteattr(name)} valueReference="{reference}" causality="{causality}" '
-        f'variability="{variability}">{declared}</ScalarVariable>'
+        f'{initial}variability="{variability}">{declared}</ScalarVariable>'
     )

@@ -1,18 +1,22 @@
 """One FMU: what is refused before it runs, start values, messages of the right instance, nothing left behind."""
 
+import copy
 import math
 import shutil
 import sys
 import tempfile
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import fmpy
+import numpy as np
 import pytest
 
 from cosim.errors import UserError
 from cosim.fmu import FmuError, Instance, as_value, describe
 from fmu_export.python_fmu import export_python_fmu
+from tests.cosim.linear_fmu import linear_fmu
 
 FMI_3 = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="3.0" modelName="M" instantiationToken="t">
@@ -54,9 +58,11 @@ def a_zip(path, **files):
 # Files
 
 
-def test_a_missing_fmu_is_named_with_the_command_that_makes_it(tmp_path):
-    with pytest.raises(UserError, match=r"nowhere\.fmu does not exist; `qube-ihc export`"):
+def test_a_missing_fmu_is_named_and_one_of_the_projects_with_the_command_that_makes_it(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere\.fmu does not exist$"):
         describe(tmp_path / "nowhere.fmu")
+    with pytest.raises(UserError, match=r"QubeServo2\.fmu does not exist; `qube-ihc export` makes the project's FMUs$"):
+        describe(tmp_path / "QubeServo2.fmu")
 
 
 def test_what_is_no_fmu_is_refused_by_its_name(tmp_path):
@@ -172,8 +178,53 @@ def test_start_values_outside_their_rule_are_refused(controller, name, value, ru
 def test_unknown_names_suggest_known_ones_and_outputs_have_no_start(controller):
     with pytest.raises(UserError, match="controller has no variable named 'a_mim'; did you mean a_min"):
         controller.checked_start({"a_mim": 0.5})
-    with pytest.raises(UserError, match=r"controller\.voltage is an output and has no start value"):
+    with pytest.raises(UserError) as refusal:
         controller.checked_start({"voltage": 0.0})
+    rule = 'an output variable that the FMU calculates (initial = "calculated"), with no start value to set'
+    assert str(refusal.value) == f"controller.voltage is {rule}"
+
+
+@pytest.mark.parametrize("begins", ["output", "local"])
+def test_outputs_and_locals_that_begin_with_their_start_value_can_be_set(tmp_path, begins):
+    names = ["body.x[1]", "body.der(x[1])"]
+    outputs = [(name, None) for name in (names if begins == "output" else ("y1", "y2"))]
+    matrices = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.eye(2)
+    path = linear_fmu(
+        tmp_path / "Own.fmu", [("u", None)], outputs, *matrices, x0=(0.1, 0.0), starts=names, begins=begins
+    )
+    instance = Instance("plant", path)
+    with closing(instance):
+        instance.start(instance.checked_start({names[0]: 0.3, names[1]: 2}), 0.0, 1.0)
+        instance.run()
+        instance.stepper()(0.0, 0.1)
+        (port,) = instance.ports([name for name, _ in outputs], "Get")
+        instance.transfer([port])
+        assert list(port.values) == pytest.approx([0.5, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("attributes", "rule"),
+    [
+        ({"initial": "approx"}, None),
+        ({"causality": "local"}, "is a local variable that the FMU calculates"),
+        (
+            {"causality": "calculatedParameter", "initial": "approx"},
+            "is a parameter that the FMU calculates from others",
+        ),
+        ({"causality": "independent", "initial": None}, "is the independent variable, the time"),
+        ({"causality": "local", "variability": "constant", "initial": "exact"}, "is a constant and cannot be set"),
+    ],
+)
+def test_what_fmi_lets_be_set_before_the_initialization_and_what_not(controller, attributes, rule):
+    controller.variables["voltage"] = variable = copy.copy(controller.variables["voltage"])
+    for name, value in attributes.items():
+        setattr(variable, name, value)
+    if rule is None:
+        assert controller.checked_start({"voltage": 1}) == {"voltage": 1.0}
+        return
+    with pytest.raises(UserError) as refusal:
+        controller.checked_start({"voltage": 1.0})
+    assert str(refusal.value).startswith(f"controller.voltage {rule}")
 
 
 def test_without_an_instance_a_value_is_refused_by_the_variable_alone(controller):

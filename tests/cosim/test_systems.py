@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import os
 import re
 from pathlib import Path
 
@@ -62,7 +63,7 @@ def units(tmp_path_factory):
     names = [("body.frame_a.r[1]", "m"), ("arm, tilt", "rad"), ('v "1"', "m/s"), ("v 2", None)]
     act = [("drive[1].f", "N"), ("drive[2].tau", "N.m")]
     input_ = np.array([[0, 0], [0, 0], [2, 0], [0, 1]], float)
-    linear_fmu(folder / "masses.fmu", act, names, masses, input_, np.eye(4), x0=(0.1, 0.2, 0.0, 0.0))
+    linear_fmu(folder / "masses.fmu", act, names, masses, input_, np.eye(4), x0=(0.1, 0.2, 0.0, 0.0), begins="output")
     feedback = np.array([[-6.0, -1.0, -3.0, 0.0], [1.0, -5.0, 0.0, -3.0]])
     linear_fmu(folder / "masses_controller.fmu", names, act, D=feedback, law=True)
     linear_fmu(folder / "tank.fmu", [("heat", "W")], [("T", "degC")], [[-0.2]], [[0.05]], [[1.0]], x0=(40.0,))
@@ -122,17 +123,18 @@ def test_names_as_others_have_them_work_everywhere(units, scenario, tmp_path):
         f"""
         run = {{ step = 1e-2, duration = 5 }}
         plant.fmu = "masses.fmu"
-        plant.start = {{ "x0[1]" = 0.3 }}
+        plant.start = {{ "{name}" = 0.3 }}
         controller.fmu = "masses_controller.fmu"
         record.outputs = ["plant.{name}", "plant.arm, tilt", "controller.drive[1].f", "controller.drive[2].tau",
                           "controller.mode"]
         evaluate.errors = ["plant.{name}", "plant.arm, tilt"]
         """
     )
-    assert chosen.plant.start == {"x0[1]": 0.3}
-    changed = chosen.changed({"plant.start.x0[2]": 0.0, "controller.start.a_min": 0.9})
-    assert changed.plant.start == {"x0[1]": 0.3, "x0[2]": 0.0}
+    assert chosen.plant.start == {name: 0.3}
+    changed = chosen.changed({"plant.start.arm, tilt": 0.0, "controller.start.a_min": 0.9})
+    assert changed.plant.start == {name: 0.3, "arm, tilt": 0.0}
     result = run_scenario(changed, units, folder)
+    assert [result[f"plant.{place}"][0] for place in (name, "arm, tilt")] == [0.3, 0.0]
     result.save(tmp_path / "run.csv")
     loaded = Result.load(tmp_path / "run.csv")
     assert list(loaded.signals) == list(changed.record.outputs or ())
@@ -774,6 +776,8 @@ def test_a_result_is_made_again_with_its_own_scenario(units, scenario, tmp_path)
     result = run_scenario(chosen.changed({"run.duration": 1.0}), units, folder)
     result.metadata["fmus"]["plant"]["guid"] = "{earlier}"
     result.save(tmp_path / "run.csv")
+    missing = "FMU fmus/cart_controller.fmu does not exist; --fmus names the folder of the scenario's FMUs"
+    assert sentence(ended("overlay", "run.csv", cwd=tmp_path)) == missing.replace("/", os.sep)
     done = ended("overlay", "run.csv", "--fmus", units, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr.strip() == "note: cart.fmu is not the file that the run was made with (another GUID)"
