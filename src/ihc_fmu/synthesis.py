@@ -275,11 +275,10 @@ def chosen_options(
     input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
     """
     reasons, start = [], None
-    most = largest_mu(system)
     if mu is not None and system.integral is not None:
         check_degree(mu)
     if alpha is None or mu is None:
-        mus = tuple(m for m in MUS if m <= most) if mu is None else (mu,)
+        most, mus = largest_mu(system), degrees(system) if mu is None else (mu,)
         found, largest, start = _first_mu(system, mus, alpha, say)
         if mu is None:
             why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
@@ -292,6 +291,11 @@ def chosen_options(
         u_max, reason = _bounds_from_limits(system)
         reasons.append(reason)
     return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons), start)
+
+
+def degrees(system: System) -> tuple[float, ...]:
+    """Return the mu that are tried where none is given, in this order: MUS, with integral action those up to 1/2."""
+    return tuple(mu for mu in MUS if mu <= largest_mu(system))
 
 
 def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float, Problem]:

@@ -231,7 +231,9 @@ def test_a_wrong_flag_ends_with_code_2(tmp_path, arguments):
 
 def test_an_infeasible_alpha_names_the_largest_feasible_one(tmp_path):
     said = refused("design", "--mu", "0.5", "--alpha", "0.6", cwd=tmp_path)
-    found = re.search(r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s", said)
+    found = re.search(
+        r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s with mu = 0\.5", said
+    )
     assert found
     assert float(found.group(1)) == pytest.approx(0.437, abs=1e-3)
     assert files(tmp_path) == []
