@@ -14,6 +14,7 @@ from ihc_fmu.design import Design
 from ihc_fmu.integral import largest_mu
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
+from ihc_fmu.regulator.interface import INPUTS, OUTPUTS, STATES
 from ihc_fmu.synthesis import (
     Options,
     chosen_options,
@@ -75,6 +76,14 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]
         return inverse_design(system, choice.options, say, choice.start), choice.reasons
     except InfeasibleError as error:
         raise _explained(system, wish, error, say) from None
+
+
+def remarks(system: System) -> list[str]:
+    """Return what the user should know before a design: that no FMU takes a system of this size."""
+    sizes = ((system.n, STATES, "states"), (system.m, INPUTS, "inputs"), (system.p, OUTPUTS, "outputs"))
+    found = ", ".join(f"{count} {what}" for count, most, what in sizes if count > most)
+    rule = f"the FMUs take up to {STATES} states, {INPUTS} inputs and {OUTPUTS} outputs"
+    return [f"{rule}, found {found}: this design cannot be exported"] if found else []
 
 
 def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> UserError:

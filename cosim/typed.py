@@ -38,7 +38,7 @@ def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
     if problem["type"] == "value_error":
         return f"{_dotted(place)} {problem.get('ctx', {}).get('error')}".lstrip()
     if problem["type"] in ("union_tag_not_found", "union_tag_invalid"):
-        return _choice_problem(place, problem["ctx"])
+        return _choice_problem(place, problem.get("ctx", {}))
     if place and place[-1] in _UNION:
         place, rule = place[:-1], "must be a number, true, false or a name"
     elif not place or problem["type"].startswith(("model", "dict")):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim import designing
 from cosim.fmu import describe
 from cosim.metrics import QUANTITIES, evaluate
 from cosim.results import Result
@@ -387,6 +388,18 @@ def loads_the_plant(pid):
         return "QubeServo2" in Path(f"/proc/{pid}/maps").read_text()
     except OSError:
         return False
+
+
+@pytest.mark.parametrize(("step", "said"), [("find", "no file was written"), ("prospect", "wrote design.json")])
+def test_an_interrupted_design_says_whether_it_was_written(tmp_path, monkeypatch, step, said):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(designing, step, interrupt)
+    done = ended("design", cwd=tmp_path)
+    assert done.returncode == 130
+    assert done.stdout.splitlines()[-1] == f"interrupted; {said}"
+    assert files(tmp_path) == (["design.json"] if step == "prospect" else [])
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")
