@@ -14,7 +14,16 @@ from ihc_fmu.design import Design
 from ihc_fmu.integral import largest_mu
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.synthesis import Options, chosen_options, direct_design, inverse_design, largest_alpha, largest_alpha_of
+from ihc_fmu.regulator.interface import INPUTS, OUTPUTS, STATES
+from ihc_fmu.synthesis import (
+    Options,
+    chosen_options,
+    degrees,
+    direct_design,
+    inverse_design,
+    largest_alpha,
+    largest_alpha_of,
+)
 from ihc_fmu.system import System
 
 from .errors import UserError
@@ -69,24 +78,39 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]
         raise _explained(system, wish, error, say) from None
 
 
+def remarks(system: System) -> list[str]:
+    """Return what the user should know before a design: that no FMU takes a system of this size."""
+    sizes = ((system.n, STATES, "states"), (system.m, INPUTS, "inputs"), (system.p, OUTPUTS, "outputs"))
+    found = ", ".join(f"{count} {what}" for count, most, what in sizes if count > most)
+    rule = f"the FMUs take up to {STATES} states, {INPUTS} inputs and {OUTPUTS} outputs"
+    return [f"{rule}, found {found}: this design cannot be exported"] if found else []
+
+
 def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> UserError:
-    """Return the error with what is possible instead."""
+    """Return the error, which is of the last mu tried, with what is possible instead."""
     if wish.psi or wish.d_max or wish.alpha is None:
         smaller = "" if wish.mu is None else "a smaller --mu, or "
         return UserError(f"{error}; {smaller}--method direct may have a solution")
-    mu = largest_mu(system) if wish.mu is None else wish.mu
-    try:
-        largest = largest_alpha(system, mu, say=say)
-    except InfeasibleError as none:
-        return UserError(
-            f"{error}; the largest feasible alpha was not found: {none}; a smaller --mu may have a solution"
-        )
-    if wish.alpha > largest:
-        return UserError(
-            f"alpha = {wish.alpha:g} 1/s is too large for this gain, the largest feasible one is {largest:.4g} 1/s"
-            + ("" if error.numerical else "; the dual proves that there is no solution")
-        )
-    return UserError(f"{error}, although a P exists up to alpha = {largest:.4g} 1/s")
+    mus, found, why = degrees(system) if wish.mu is None else (wish.mu,), {}, error
+    for mu in mus:
+        try:
+            found[mu] = largest_alpha(system, mu, say=say)
+        except InfeasibleError as none:
+            why = none
+    if not found:
+        smaller = "" if wish.mu is None else "; a smaller --mu may have a solution"
+        return UserError(f"{error}; the largest feasible alpha was not found: {why}{smaller}")
+    best = max(found, key=lambda mu: found[mu])
+    if wish.alpha <= found[best]:
+        return UserError(f"{error}, although with mu = {best:g} a P exists up to alpha = {found[best]:.4g} 1/s")
+    tried = (
+        f"mu = {best:g}" if wish.mu is not None else f"mu = {best:g}, the best of {', '.join(map('{:g}'.format, mus))}"
+    )
+    proven = "" if error.numerical else f"; the dual proves that there is no solution with mu = {mus[-1]:g}"
+    return UserError(
+        f"alpha = {wish.alpha:g} 1/s is too large for this gain, the largest feasible one is {found[best]:.4g} 1/s "
+        f"with {tried}{proven}"
+    )
 
 
 def prospect(design: Design, direct: bool, say: Say) -> str:

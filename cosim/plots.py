@@ -278,7 +278,7 @@ def _logarithmic(results: Mapping[str, Recording], curves: Sequence[tuple[str, A
 
 
 def _controls(results: Mapping[str, Recording], about: Evaluation) -> Figure | None:
-    """Return a panel for each result and control; None where nothing is controlled."""
+    """Return a panel for each result and control, all of a control on the same scale; None where nothing is controlled."""
     if not about.controls:
         return None
     figure, axes, ribbon = _with_ribbon(len(results) * len(about.controls), results)
@@ -290,6 +290,11 @@ def _controls(results: Mapping[str, Recording], about: Evaluation) -> Figure | N
         unit = "" if control.unit == NO_UNIT else f" [{literal(control.unit)}]"
         axis.set_ylabel(f"{law}{unit}" if about.kind == "pendulum" else f"{law}\n{label(control)}")
         axis.grid(alpha=0.3)
+    count = len(about.controls)
+    for i in range(count):
+        limits = [axis.get_ylim() for axis in axes[i::count]]
+        for axis in axes[i::count]:
+            axis.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
     _finish(figure, axes, ribbon, results)
     return figure
 

@@ -37,13 +37,26 @@ def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
         return f"{_dotted(place)} is required"
     if problem["type"] == "value_error":
         return f"{_dotted(place)} {problem.get('ctx', {}).get('error')}".lstrip()
+    if problem["type"] in ("union_tag_not_found", "union_tag_invalid"):
+        return _choice_problem(place, problem.get("ctx", {}))
     if place and place[-1] in _UNION:
         place, rule = place[:-1], "must be a number, true, false or a name"
     elif not place or problem["type"].startswith(("model", "dict")):
         rule = "must be a table"
+    elif problem["type"] in ("tuple_type", "list_type"):
+        rule = "must be a list"
     else:
         rule = problem["msg"].replace("Input should be", "must be")
     return f"{_dotted(place)} {rule}, found {shown(problem['input'])}".lstrip()
+
+
+def _choice_problem(place: list[Any], about: Mapping[str, str]) -> str:
+    """Return what is wrong with the entry that says which kind of table this is; pydantic quotes its name and the kinds."""
+    entry = _dotted([*place, about["discriminator"].strip("'")])
+    if "tag" not in about:
+        return f"{entry} is required"
+    tag, kinds = about["tag"], [kind.strip("'") for kind in about["expected_tags"].split(", ")]
+    return f"{entry} must be one of {', '.join(kinds)}, found {shown(tag)}{did_you_mean(tag, kinds)}"
 
 
 def _dotted(place: list[Any]) -> str:

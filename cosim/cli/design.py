@@ -11,7 +11,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_design, problems
+from .display import console, escaped, print_design, problems, say_notes
 
 
 class Method(StrEnum):
@@ -70,9 +70,17 @@ def design(
         raise UserError(f"--output must name a .json file, found {path}")
     check_replaceable(path, kind="design")
     wish = designing.Wish(method is Method.direct, mu, alpha, u_max, delta_max, state, beta, psi, d_max)
-    with problems.status("solving the matrix inequalities") as shown:
-        found, reasons = designing.find(*designing.system_and_wish(system, wish), shown.update)
-        found.save(path)
-        print_design(found, reasons)
-        console.print(escaped(designing.prospect(found, wish.direct, shown.update)))
+    of, wish = designing.system_and_wish(system, wish)
+    say_notes(designing.remarks(of))
+    written = "no file was written"
+    try:
+        with problems.status("solving the matrix inequalities") as shown:
+            found, reasons = designing.find(of, wish, shown.update)
+            found.save(path)
+            written = f"wrote {path}"
+            print_design(found, reasons)
+            console.print(escaped(designing.prospect(found, wish.direct, shown.update)))
+    except KeyboardInterrupt:
+        console.print(f"interrupted; {escaped(written)}")
+        raise
     console.print(f"wrote {escaped(path)}")

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, counted, shown
 from fmu_export.shown import Showing
 from fmu_export.variables import Interface, Value, did_you_mean
 
@@ -176,9 +176,10 @@ class Controller:
         try:
             found = np.asarray(y, dtype=float)
         except (TypeError, ValueError):
-            found = np.empty(0)
-        if found.shape != (len(names),):
-            raise UserError(f"y must be {len(names)} numbers, {', '.join(names)}, found shape {found.shape}")
+            found = None
+        if found is None or found.shape != (len(names),):
+            what = shown(y) if found is None or found.ndim == 0 else f"shape {found.shape}"
+            raise UserError(f"y must be {counted(len(names), 'number')}, {', '.join(names)}, found {what}")
         return [*found.tolist(), *[0.0] * (OUTPUTS - len(names))]
 
     def _set_points(self) -> list[float]:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 from scipy.signal import place_poles
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, shown
 
 from .block_form import BlockForm, block_form, scaling
 from .design import Design
@@ -78,7 +78,7 @@ def _observer(
         exponents=form.exponents,
         L_0=L_0,
         L=L_0 + form.T.T @ (powers[:, None] * (form.T_inverse.T @ (L - L_0))),
-        nu=nu,
+        nu=nu or 0.0,  # never -0
         q_min=q_min,
         q_max=q_max,
     )
@@ -88,9 +88,11 @@ def remark(design: Design) -> str:
     """Return what is proven of the observer that the system of a design asks for, a sentence."""
     found = homogeneous_observer(design)
     proof = prove(found, design.extent)
-    what = f"the homogeneous observer of degree nu = {found.nu:.3g}"
+    linear = "" if found.nu else ", the linear observer,"
+    what = f"the homogeneous observer of degree nu = {found.nu:.3g}{linear}"
     if proof is None:
-        return f"{what} is not proven: no proof was found that its errors vanish; a nu nearer to 0 may have one"
+        nearer = "; a nu nearer to 0 may have one" if found.nu else ""
+        return f"{what} is not proven: no proof was found that its errors vanish{nearer}"
     sizes = zip(design.system.states, proof.reach, strict=True)
     reach = ", ".join(f"{q.name} {size:.3g}{'' if q.unit == '1' else ' ' + q.unit}" for q, size in sizes)
     return f"{what} is proven, by eigenvalues: without noise errors vanish within an ellipsoid that reaches to {reach}"
@@ -147,12 +149,19 @@ def _placed(A: Array, C: Array, poles: Array) -> Array:
     by = scaling(A.T, C.T)
     A_s = A.T * by.states / by.states[:, None] / by.omega
     B_s = C.T * by.inputs / by.states[:, None] / by.omega
+    values, counts = np.unique(poles, return_counts=True)
+    rank = int(np.linalg.matrix_rank(B_s))
+    if counts.max() > rank:
+        raise UserError(
+            f"observer.poles must not hold a number more often than there are independent outputs, {rank}, found "
+            f"{values[counts.argmax()]:g} {counts.max()} times; set them slightly apart"
+        )
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # how robust it is does not matter; that A + L C is Hurwitz is checked
             placed: Any = place_poles(A_s, B_s, poles / by.omega)
-    except ValueError as error:
-        raise UserError(f"observer.poles: {error}") from None
+    except ValueError:
+        raise UserError(f"observer.poles cannot be placed for this model, found {shown(poles)}") from None
     return -(by.inputs[:, None] * placed.gain_matrix / by.states).T
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,9 @@ FLAT = 1e-8
 DIRECT_MARGIN = 1.2
 """Of the closed form of a direct design: it is for this multiple of alpha."""
 
+MOST_ORDERED = 6
+"""States up to which all orders of a gain's entries are tried for a hint."""
+SIGNS = ((1.0, ""), (-1.0, " and the sign of u = -K x"))
 
 Say = Callable[[str], object] | None
 
@@ -162,21 +165,34 @@ def _slowest(system: System, K: Array) -> float:
 
 
 def _hint(system: System) -> str:
-    """Return what would make a gain that does not stabilize do so: its sign, or another order of its entries."""
+    """Return what would make a gain that does not stabilize do so: its sign, or another order of its entries.
+
+    That is a usual order, or of all orders of up to MOST_ORDERED states the only one, but for equal entries, that does.
+    """
     K, n = system.K, system.n
     assert K is not None
     if _slowest(system, -K) < 0.0:
         return "; -K does: the law is u = +K x here, not u = -K x"
-    half, rest = divmod(n, 2)
-    if rest or half < 2:
-        return ""
-    grouped = K[:, np.arange(n).reshape(half, 2).T.ravel()]  # given as angle, rate, angle, rate
-    mixed = K[:, np.arange(n).reshape(2, half).T.ravel()]
-    for gain, order in ((grouped, "(angle, rate, angle, rate)"), (mixed, "(angle, angle, rate, rate)")):
-        for sign, law in ((1.0, ""), (-1.0, " and the sign of u = -K x")):
-            if _slowest(system, sign * gain) < 0.0:
-                return f"; K seems to be in the order {order}{law}, unlike A"
+    # K for angle, rate, angle, rate and A for angle, angle, rate, rate, or the other way round
+    for size in (n // 2, 2) if n % 2 == 0 else ():
+        order = np.arange(n).reshape(-1, size).T.ravel()
+        for sign, law in SIGNS:
+            if _slowest(system, sign * K[:, np.argsort(order)]) < 0.0:
+                return _order(system, order, law)
+    if n <= MOST_ORDERED:
+        orders = np.array(list(permutations(range(n))))
+        gains = K[:, np.argsort(orders, axis=1)].swapaxes(0, 1)
+        for sign, law in SIGNS:
+            does = np.linalg.eigvals(system.A + sign * system.B @ gains).real.max(axis=1) < 0.0
+            if does.any():
+                only = len(np.unique(gains[does], axis=0)) == 1
+                return _order(system, orders[does.argmax()], law) if only else ""
     return ""
+
+
+def _order(system: System, order: Array, law: str) -> str:
+    names = ", ".join(system.states[i].name for i in order)
+    return f"; K seems to be in the order ({names}){law}, unlike A"
 
 
 def _normal(form: BlockForm, omega: float) -> BlockForm:
@@ -275,11 +291,10 @@ def chosen_options(
     input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
     """
     reasons, start = [], None
-    most = largest_mu(system)
     if mu is not None and system.integral is not None:
         check_degree(mu)
     if alpha is None or mu is None:
-        mus = tuple(m for m in MUS if m <= most) if mu is None else (mu,)
+        most, mus = largest_mu(system), degrees(system) if mu is None else (mu,)
         found, largest, start = _first_mu(system, mus, alpha, say)
         if mu is None:
             why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
@@ -292,6 +307,11 @@ def chosen_options(
         u_max, reason = _bounds_from_limits(system)
         reasons.append(reason)
     return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons), start)
+
+
+def degrees(system: System) -> tuple[float, ...]:
+    """Return the mu that are tried where none is given, in this order: MUS, with integral action those up to 1/2."""
+    return tuple(mu for mu in MUS if mu <= largest_mu(system))
 
 
 def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float, Problem]:

@@ -464,12 +464,14 @@ _OF_OUTPUTS = ("outputs", "set_points", "biases")
 
 
 def meant(K: Array | None, law: str | None) -> Array | None:
-    """Return the gain of u = K x, given one and how it is meant, "u = K x" or "u = -K x".
+    """Return the gain of u = K x, given one and how it is meant, "u = K x", also "u = +K x", or "u = -K x".
 
     Raises UserError where a gain comes without `law`: toolboxes differ, and a sign is not guessed.
     """
     if K is None:
         return None
+    if law == "u = +K x":
+        law = LAWS[0]
     if law not in LAWS:
         raise UserError(f"law must say how K is meant, {' or '.join(map(repr, LAWS))}, found {law!r}")
     return np.asarray(K, dtype=float) if law == LAWS[0] else -np.asarray(K, dtype=float)

@@ -151,6 +151,14 @@ def test_held_voltages_are_drawn_as_steps_up_to_their_row(swing, figures):
         assert np.asarray(curve.get_ydata()).tolist() == swing["controller.voltage"].tolist()
 
 
+def test_controls_of_all_laws_have_one_scale(swing, figures, made_result):
+    save_comparison({"LC": swing, "IHC": made_result(TIME, 0.1, controller_voltage=0.5 + TIME)}, plots.Path(), "title")
+    one, other = (axis.get_ylim() for axis in figures["voltage"].axes[:2])
+    assert one == other
+    assert one[0] < -3.0
+    assert one[1] > 3.0
+
+
 def test_every_law_has_a_curve_and_a_row_of_modes(swing, figures, made_result):
     results = {"LC": swing, "IHC": made_result(TIME, 0.1)}
     save_comparison(results, plots.Path(), "title")

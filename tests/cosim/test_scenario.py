@@ -163,6 +163,11 @@ def test_an_empty_file_is_a_scenario_of_defaults(written):
         ),
         ("[plant]\nmeasurement = 'none'", "plant.measurement must be 'encoders' or 'ideal', found 'none'"),
         ("[plant]\nstart = 3", "plant.start must be a table, found 3"),
+        (
+            "[[signals]]\nkind = 'stp'",
+            "signals.0.kind must be one of step, pulse, square, sines, csv, found 'stp'; did you mean step?",
+        ),
+        ("[[signals]]\nvalue = 1.0", "signals.0.kind is required"),
         ("[disturbance]\ninput = 3", "disturbance.input must be a valid string, found 3"),
         ("[disturbance]\ngain = inf", "disturbance.gain must be a finite number, found inf"),
         ("[disturbance]\nsines = [{ amplitude = 1 }]", "disturbance.sines.0.frequency is required"),
@@ -171,7 +176,7 @@ def test_an_empty_file_is_a_scenario_of_defaults(written):
             "disturbance.sines.0.frequency must be a finite",
         ),
         ("[record]\nevery = 0", "record.every must be greater than or equal to 1, found 0"),
-        ("[record]\noutputs = 'plant.theta'", "record.outputs must be a valid tuple, found 'plant.theta'"),
+        ("[record]\noutputs = 'plant.theta'", "record.outputs must be a list, found 'plant.theta'"),
     ],
 )
 def test_a_wrong_entry_is_one_sentence_with_file_entry_rule_and_value(written, text, problem):

@@ -105,9 +105,20 @@ def test_a_measurement_that_is_none_stops_it_until_reset(arm):
     assert (controller.mode, controller.fault, controller.messages) == ("stabilizing", "none", [])
 
 
-@pytest.mark.parametrize("y", [[1.0], [1.0, 2.0, 3.0], 1.0, [[1.0, 2.0]], ["a", "b"], None])
-def test_measured_outputs_of_another_number_are_refused(arm, y):
-    with pytest.raises(UserError, match="y must be 2 numbers, shoulder, elbow, found"):
+@pytest.mark.parametrize(
+    ("y", "found"),
+    [
+        ([1.0], r"shape \(1,\)"),
+        ([1.0, 2.0, 3.0], r"shape \(3,\)"),
+        (1.0, "1.0"),
+        ([[1.0, 2.0]], r"shape \(1, 2\)"),
+        ("a", "'a'"),
+        (["a", "b"], r"\['a', 'b'\]"),
+        (None, "None"),
+    ],
+)
+def test_measured_outputs_that_are_not_as_many_numbers_are_refused(arm, y, found):
+    with pytest.raises(UserError, match=f"y must be 2 numbers, shoulder, elbow, found {found}$"):
         Controller(arm)(y)
 
 

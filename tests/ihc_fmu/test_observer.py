@@ -174,7 +174,7 @@ def test_system_file_and_design_hold_the_wish(tmp_path):
         ({"poles": [-1.0, -2.0]}, "observer.poles must be 4 numbers, one for each state, found 2"),
         (
             {"poles": [-1.0, -1.0, -1.0, -2.0]},
-            "observer.poles: at least one of the requested pole is repeated more than",
+            "observer.poles must not hold a number more often than there are independent outputs, 2, found -1 3 times; set",
         ),
     ],
 )

@@ -130,12 +130,14 @@ def test_unstable_linear_controller_is_refused_with_its_pole(paper):
         (lambda A, b, k: (A, -b, k), "; -K does: the law is u = +K x here, not u = -K x"),
         (
             lambda A, b, k: (A, b, k[[0, 2, 1, 3]]),
-            "; K seems to be in the order (angle, rate, angle, rate), unlike A",
+            "; K seems to be in the order (x1, x3, x2, x4), unlike A",
         ),
         (
             lambda A, b, k: (A, b, -k[[0, 2, 1, 3]]),
-            "; K seems to be in the order (angle, rate, angle, rate) and the sign of u = -K x, unlike A",
+            "; K seems to be in the order (x1, x3, x2, x4) and the sign of u = -K x, unlike A",
         ),
+        (lambda A, b, k: (A, b, k[[1, 0, 2, 3]]), "; K seems to be in the order (x2, x1, x3, x4), unlike A"),
+        (lambda A, b, k: (A, b, np.ones(4)), " 1/s"),
     ],
 )
 def test_a_gain_that_does_not_stabilize_is_refused_with_what_would(paper, turn, hint):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from cosim import designing
 from cosim.fmu import describe
 from cosim.metrics import QUANTITIES, evaluate
 from cosim.results import Result
@@ -231,7 +232,9 @@ def test_a_wrong_flag_ends_with_code_2(tmp_path, arguments):
 
 def test_an_infeasible_alpha_names_the_largest_feasible_one(tmp_path):
     said = refused("design", "--mu", "0.5", "--alpha", "0.6", cwd=tmp_path)
-    found = re.search(r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s", said)
+    found = re.search(
+        r"alpha = 0\.6 1/s is too large .*, the largest feasible one is ([\d.]+) 1/s with mu = 0\.5", said
+    )
     assert found
     assert float(found.group(1)) == pytest.approx(0.437, abs=1e-3)
     assert files(tmp_path) == []
@@ -385,6 +388,18 @@ def loads_the_plant(pid):
         return "QubeServo2" in Path(f"/proc/{pid}/maps").read_text()
     except OSError:
         return False
+
+
+@pytest.mark.parametrize(("step", "said"), [("find", "no file was written"), ("prospect", "wrote design.json")])
+def test_an_interrupted_design_says_whether_it_was_written(tmp_path, monkeypatch, step, said):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(designing, step, interrupt)
+    done = ended("design", cwd=tmp_path)
+    assert done.returncode == 130
+    assert done.stdout.splitlines()[-1] == f"interrupted; {said}"
+    assert files(tmp_path) == (["design.json"] if step == "prospect" else [])
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")

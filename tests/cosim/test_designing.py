@@ -1,0 +1,32 @@
+"""Why there is no design: what is said instead is true of the mu that it names."""
+
+import re
+
+import numpy as np
+import pytest
+
+from cosim.designing import Wish, find, remarks
+from cosim.errors import UserError
+from ihc_fmu.synthesis import degrees, largest_alpha
+from ihc_fmu.system import System
+
+
+def test_without_mu_the_largest_feasible_alpha_is_the_best_of_those_tried():
+    system = System(A=np.array([[0.0, 1.0], [0.0, 0.0]]), B=np.array([[0.0], [1.0]]), K=np.array([[-1.0, -0.5]]))
+    with pytest.raises(UserError, match=r"the dual proves that there is no solution with mu = 0\.25$") as refused:
+        find(system, Wish(alpha=1.0), lambda _: None)
+    pattern = r"the largest feasible one is ([\d.]+) 1/s with mu = ([\d.]+), the best of 1, 0.75, 0.5, 0.25;"
+    said = re.search(pattern, str(refused.value))
+    assert said
+    found = {mu: largest_alpha(system, mu) for mu in degrees(system)}
+    best = max(found, key=lambda mu: found[mu])
+    assert float(said[2]) == best
+    assert float(said[1]) == pytest.approx(found[best], rel=1e-3)
+    assert found[best] > 1.1 * found[1.0]
+
+
+def test_a_system_that_no_fmu_takes_is_noted():
+    assert remarks(System(A=-np.eye(16), B=np.eye(16, 8))) == []
+    assert remarks(System(A=-np.eye(17), B=np.eye(17, 9), C=np.eye(1, 17))) == [
+        "the FMUs take up to 16 states, 8 inputs and 16 outputs, found 17 states, 9 inputs: this design cannot be exported"
+    ]
