@@ -3,6 +3,7 @@
 import gc
 import math
 import sys
+from dataclasses import replace
 from fractions import Fraction
 from importlib.metadata import version
 from pathlib import Path
@@ -397,10 +398,12 @@ def test_a_failing_fmu_leaves_time_instance_cause_and_rows(tiny, order):
 
 
 def test_a_step_that_the_controller_cannot_work_with_is_named(pair):
+    controller, plant = pair().components  # a scenario refuses it before
+    late = replace(controller, start={**controller.start, "sample_time": 0.0015})
     with pytest.raises(
         SimulationError, match=r"controller: .*sample_time = 0\.0015 s and .* step of 0\.001 s"
     ) as failure:
-        run(pair(controller__start__sample_time=0.0015))
+        run(replace(pair(), components=(late, plant)))
     assert len(failure.value.result.time) == 1
 
 

@@ -403,7 +403,7 @@ def test_a_table_that_is_none_is_named_with_its_line(units, scenario, tmp_path, 
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ('kind = "ramp"', "signals.0 .*'step', 'pulse', 'square', 'sines', 'csv'.*"),
+        ('kind = "ramp"', "signals.0.kind must be one of step, pulse, square, sines, csv, found 'ramp'.*"),
         ('kind = "step"', r"signals\.0\.step\.value is required"),
         ('kind = "pulse"\nvalue = 1\nwidth = 0', r"signals\.0\.pulse\.width must be greater than 0, found 0"),
         ('kind = "csv"\nfile = "../x.csv"', r"signals\.0\.csv\.file must be a plain name"),
