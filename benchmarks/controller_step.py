@@ -7,14 +7,12 @@ filters the velocities, computes the exact homogeneous norm (an output) and deci
 from __future__ import annotations
 
 import ctypes
-import tempfile
 import time
 from collections.abc import Callable, Mapping
-from pathlib import Path
 
 import numpy as np
 
-from fmu_export.native_build import build_library, host_platform
+from benchmarks.compiled import compiled
 from fmu_export.native_unit import struct_initializer
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.interface import MODES
@@ -99,19 +97,12 @@ class ControllerStep:
 
 
 def _library(controller: Mapping[str, Value]) -> ctypes.CDLL:
-    header = '#include <math.h>\n#include "ihc_controller.h"\n#pragma clang diagnostic ignored "-Wmissing-braces"\n'
+    header = '#include "ihc_controller.h"\n'
     kalman = kalman_values(controller, float(controller["sample_time"]))
     for name, changes in VARIANTS.items():
         values = CONTROLLER.interface.start_values({**controller, **kalman, **changes})
         header += f"static const ihc_params {name} = {struct_initializer(CONTROLLER, values)};\n"
-    files = dict(CONTROLLER.core)
-    files["controller_step.c"] = Path(__file__).with_name("controller_step.c").read_bytes()
-    files["start_values.h"] = header.encode()
-    platform = host_platform()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"controller_step{platform.suffix}"
-        path.write_bytes(build_library(files, "controller_step", platform))
-        library = ctypes.CDLL(str(path))
+    library = compiled("controller_step", CONTROLLER.core, header)
     library.whole_steps.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_long]
     library.whole_steps.restype = ctypes.c_long
     library.linear_law.argtypes = [ctypes.c_void_p, ctypes.c_long]

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import tempfile
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
-from fmu_export.native_build import build_library, host_platform
+from benchmarks.compiled import compiled
 from fmu_export.native_unit import NativeUnit, struct_initializer
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
@@ -20,19 +18,11 @@ class Monolithic:
     """The program, with the start values of both units compiled in."""
 
     def __init__(self, plant: Mapping[str, Value], controller: Mapping[str, Value]) -> None:
-        header = '#include <math.h>\n#include "ihc_controller.h"\n#include "qube_servo2.h"\n'
-        header += '#pragma clang diagnostic ignored "-Wmissing-braces"\n'
+        header = '#include "ihc_controller.h"\n#include "qube_servo2.h"\n'
         for unit, name, changes in ((PLANT, "PLANT", plant), (CONTROLLER, "CONTROLLER", controller)):
             values = unit.interface.start_values(changes)
             header += f"static const {unit.prefix}_params {name} = {struct_initializer(unit, values)};\n"
-        files = PLANT.core | CONTROLLER.core
-        files["monolithic.c"] = (Path(__file__).parent / "monolithic.c").read_bytes()
-        files["start_values.h"] = header.encode()
-        platform = host_platform()
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"monolithic{platform.suffix}"
-            path.write_bytes(build_library(files, "monolithic", platform))
-            self._run = ctypes.CDLL(str(path)).run
+        self._run = compiled("monolithic", PLANT.core | CONTROLLER.core, header).run
         self._run.argtypes = [ctypes.c_long, ctypes.c_double, ctypes.c_void_p]
         self._run.restype = ctypes.c_long
         self.row = np.dtype([("time", "f8"), *_fields(CONTROLLER), *_fields(PLANT)], align=True)

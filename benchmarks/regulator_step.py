@@ -7,15 +7,13 @@ semi-implicit. Then both with their Kalman filters on the angles alone. Larger d
 from __future__ import annotations
 
 import ctypes
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from fmu_export.native_build import build_library, host_platform
+from benchmarks.compiled import compiled
 from fmu_export.native_unit import struct_initializer
 from ihc_fmu.block_form import block_form
 from ihc_fmu.design import Design
@@ -105,18 +103,8 @@ def _random_case(n: int, m: int, count: int) -> tuple[Regulator, np.ndarray]:
 def _library(regulators: list[Regulator]) -> ctypes.CDLL:
     values = (NATIVE.interface.start_values(regulator.values()) for regulator in regulators)
     designs = ",\n".join(struct_initializer(NATIVE, v) for v in values)
-    header = (
-        '#include <math.h>\n#include "homogeneous_controller.h"\n#pragma clang diagnostic ignored "-Wmissing-braces"\n'
-    )
-    header += f"static const regulator_params DESIGNS[] = {{{designs}}};\n"
-    files = dict(NATIVE.core)
-    files["regulator_step.c"] = Path(__file__).with_name("regulator_step.c").read_bytes()
-    files["start_values.h"] = header.encode()
-    platform = host_platform()
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"regulator_step{platform.suffix}"
-        path.write_bytes(build_library(files, "regulator_step", platform))
-        library = ctypes.CDLL(str(path))
+    header = f'#include "homogeneous_controller.h"\nstatic const regulator_params DESIGNS[] = {{{designs}}};\n'
+    library = compiled("regulator_step", NATIVE.core, header)
     library.whole_steps.argtypes = [ctypes.c_int, ctypes.c_void_p, ctypes.c_long]
     library.whole_steps.restype = ctypes.c_long
     return library

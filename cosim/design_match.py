@@ -27,6 +27,7 @@ import numpy as np
 
 from ihc_fmu.system import Quantity, System
 
+from .poles import alike, poles_text, sorted_poles
 from .unit_slips import nearest, slips
 
 Array = np.ndarray
@@ -218,18 +219,10 @@ def unlike(expected: Expected, plant: Seen) -> str:
         differs = f"in its model {what} otherwise by {100 * d.error[i]:.0f} %"
     else:
         differs = f"in its model {what} {d.gain[i]:.3g} times as strongly"
-    design, real = (_sorted_poles(A) for A in (system.A, plant.A))
-    if len(design) == len(real) and np.allclose(design, real, rtol=0.05, atol=0.05):
+    design, real = (sorted_poles(A) for A in (system.A, plant.A))
+    if alike(design, real):
         return f"{differs}, although the poles are the same"
-    return f"{differs}; poles {_text(design)} instead of {_text(real)} 1/s"
-
-
-def _sorted_poles(A: Array) -> Array:
-    return np.sort_complex(np.round(np.linalg.eigvals(A), 6) + 0.0)  # no -0
-
-
-def _text(poles: Array) -> str:
-    return ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-6 else f"{p.real:.3g}{p.imag:+.3g}i" for p in poles)
+    return f"{differs}; poles {poles_text(design)} instead of {poles_text(real)} 1/s"
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,7 @@ from ihc_fmu.pendulum.interface import STATES, matrix, vector
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import QubeParameters
 
+from .poles import alike, poles_text, sorted_poles
 from .unit_slips import nearest, slips
 
 Array = np.ndarray
@@ -199,11 +200,12 @@ def _misfit(design_key: _Key, plant_key: _Key) -> str | None:
     near = d.stiffness <= LARGEST_DISTANCE and d.angle <= LARGEST_ANGLE and GAINS[0] <= d.gain <= GAINS[1]
     if near and d.kinematics > KINEMATICS:
         return "the controller was designed for another model than the plant's: its last two states are no rates"
-    if np.allclose(*(_sorted_poles(model) for model in (design, plant)), rtol=0.05, atol=0.05):
+    poles = [sorted_poles(model.A) for model in (design, plant)]
+    if alike(*poles):
         return "the controller was designed for this plant in other coordinates: the poles are the same, the states are not"
     return (
         f"the controller was designed for another system than this plant: A differs by {100 * d.A:.0f} %, b by a factor of "
-        f"{d.gain:.3g}; poles {_poles(design)} instead of {_poles(plant)} 1/s"
+        f"{d.gain:.3g}; poles {poles_text(poles[0])} instead of {poles_text(poles[1])} 1/s"
     )
 
 
@@ -261,12 +263,3 @@ def _differences(order: tuple[int, ...], S: Array) -> list[str]:
             if which:
                 said.append(f"{', '.join(which)} {'is' if len(which) == 1 else 'are'} in {unit}")
     return said
-
-
-def _sorted_poles(model: Model) -> Array:
-    return np.sort_complex(np.round(np.linalg.eigvals(model.A), 6) + 0.0)  # no -0
-
-
-def _poles(model: Model) -> str:
-    poles = _sorted_poles(model)
-    return ", ".join(f"{p.real:.3g}" if abs(p.imag) < 1e-6 else f"{p.real:.3g}{p.imag:+.3g}i" for p in poles)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pydantic import BaseModel, ConfigDict, StrictInt, StrictStr
 
 from .names import PlainName
+from .pendulum_files import PENDULUM_FMUS
 from .recording import Recording
 from .typed import Positive, checked
 
@@ -25,7 +26,7 @@ class FmuUsed(_Part):
 class PlantUsed(_Part):
     """The plant in the scenario of the run."""
 
-    fmu: PlainName = "QubeServo2.fmu"
+    fmu: PlainName = PENDULUM_FMUS[0]
     parameters: StrictStr | None = None
 
 

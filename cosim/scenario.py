@@ -29,6 +29,7 @@ from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, p
 from .master import Engine, Order, step_count
 from .names import PlainName
 from .pendulum import WIRES, StartValue
+from .pendulum_files import PENDULUM_FMUS
 from .plant_variables import START
 from .results import Result
 from .structure import Component, Signal, System, Wire
@@ -78,7 +79,7 @@ _FMU = "name of a file in the folder given to the command or beside the scenario
 class PlantSection(_Section):
     """The plant FMU."""
 
-    fmu: PlainName = Field("QubeServo2.fmu", description=_FMU)
+    fmu: PlainName = Field(PENDULUM_FMUS[0], description=_FMU)
     parameters: str | None = Field(
         None,
         description="of the pendulum; none: the FMU's own start values; or a set that replaces them, by name: "
@@ -99,7 +100,7 @@ class PlantSection(_Section):
 class ControllerSection(_Section):
     """The controller FMU."""
 
-    fmu: PlainName = Field("IhcController.fmu", description=_FMU)
+    fmu: PlainName = Field(PENDULUM_FMUS[1], description=_FMU)
     design: str | None = Field(
         None, description="of the pendulum: design file beside the scenario; none: the design exported in the FMU"
     )

@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from ..structure import Component, Signal
 
 
+BOARDS = ("qube", "qlabs")
+DEVICES = (*BOARDS, "sim")
+
 LOWEST_RATE, HIGHEST_RATE = 100.0, 10_000.0
 """Sampling rates [Hz]: below, a device takes two periods for a loop that has died."""
 
@@ -121,12 +124,6 @@ def hil(
     else:
         about = {"scenario": chosen.model_dump(mode="json"), **_judged(component, signals)}
         _run(chosen_device, component, settings, signals, about, output, status)
-
-
-BOARDS = ("qube", "qlabs")
-
-
-DEVICES = (*BOARDS, "sim")
 
 
 def _check_options(device: str, *, lockstep: bool, faults: str, stop_on_misses: bool) -> None:
