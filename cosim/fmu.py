@@ -35,6 +35,9 @@ Value = float | int | bool | str
 
 _STATUS = ("OK", "warning", "discard", "error", "fatal", "pending")
 _GOOD = (0, 1)
+DISCARD = 2
+"""The status of a call whose point an FMU has no values at."""
+
 _FATAL = 4
 _MESSAGES_KEPT = 200
 _MESSAGE_LENGTH = 10_000
@@ -99,18 +102,6 @@ class FMU2Strict(Strict, fmpy.fmi2.FMU2Slave):
     """FMPy's slave, strict."""
 
 
-def describe(path: Path) -> tuple[str, ModelDescription]:
-    """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
-
-    It is unpacked again where its folder is gone, as where temporary files are tidied under a process that lasts. Raises
-    UserError for a file that is missing, not an FMU, or not an FMI 2.0 co-simulation FMU.
-    """
-    folder, description = describe_any(path)
-    if description.coSimulation is None:
-        raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found one for model exchange only")
-    return folder, description
-
-
 def found(path: Path, advice: str = "") -> os.stat_result:
     """Return the status of an FMU's file; raise UserError, with `advice`, where there is none or it cannot be read."""
     try:
@@ -123,8 +114,12 @@ def found(path: Path, advice: str = "") -> os.stat_result:
         raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
 
 
-def describe_any(path: Path) -> tuple[str, ModelDescription]:
-    """Return what `describe` does, also for an FMU that is for model exchange only."""
+def describe(path: Path) -> tuple[str, ModelDescription]:
+    """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
+
+    It is unpacked again where its folder is gone, as where temporary files are tidied under a process that lasts. Raises
+    UserError for a file that is missing, not an FMU, or not an FMU of FMI 2.0.
+    """
     status = found(path)
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
@@ -179,7 +174,7 @@ def _description(path: Path, folder: Path) -> ModelDescription:
         raise UserError(f"{path} is not a valid FMU: {_first_line(error)}") from None
     kinds = [kind for kind in (description.coSimulation, description.modelExchange) if kind is not None]
     if description.fmiVersion != "2.0" or not kinds:
-        raise UserError(f"{path} must be an FMI 2.0 co-simulation FMU, found FMI {description.fmiVersion}")
+        raise UserError(f"{path} must be an FMI 2.0 FMU, found FMI {description.fmiVersion}")
     for identifier in (kind.modelIdentifier or "" for kind in kinds):
         if not (identifier.isascii() and identifier.isidentifier()):  # a file's name: a path would load another library
             raise UserError(f"{path} must have a C identifier as modelIdentifier, found {shown(identifier)}")
@@ -280,10 +275,14 @@ class Port:
 
 @dataclass(eq=False)
 class Instance:
-    """A running FMU under the name it has in the system."""
+    """A running FMU for co-simulation under the name it has in the system.
+
+    `tolerance`: the relative one that the FMU is told for what it solves itself; None: its own.
+    """
 
     name: str
     path: Path
+    tolerance: float | None = field(default=None, kw_only=True)
     description: ModelDescription = field(init=False)
     variables: dict[str, ScalarVariable] = field(init=False)
     messages: list[str] = field(default_factory=list)
@@ -300,7 +299,8 @@ class Instance:
     def _described(self) -> tuple[str, ModelDescription, str]:
         """Return the unpacked FMU's folder, its description and its model identifier."""
         folder, description = describe(self.path)
-        assert description.coSimulation is not None  # `describe` refuses others
+        if description.coSimulation is None:
+            raise UserError(f"{self.path} must be an FMU for co-simulation, found one for model exchange only")
         return folder, description, description.coSimulation.modelIdentifier or ""
 
     def variable(self, name: str) -> ScalarVariable:
@@ -353,7 +353,9 @@ class Instance:
         """Instantiate and set the start values, up to initialization mode; None: no stop time."""
         self._instantiate()
         fmu = self._fmu
-        self._call("setupExperiment", fmu.setupExperiment, startTime=start_time, stopTime=stop_time)
+        self._call(
+            "setupExperiment", fmu.setupExperiment, tolerance=self.tolerance, startTime=start_time, stopTime=stop_time
+        )
         for name, value in start.items():
             variable = self.variables[name]
             setters = {"Real": fmu.setReal, "Boolean": fmu.setBoolean, "String": fmu.setString}
@@ -467,9 +469,9 @@ class Instance:
         addLoggerProxy(ctypes.byref(callbacks))
         return callbacks
 
-    def _call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> None:
+    def _call(self, what: str, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         try:
-            function(*args, **kwargs)
+            return function(*args, **kwargs)
         except fmpy.fmi1.FMICallException as error:
             self.fail(what, error.status)
 

@@ -17,7 +17,7 @@ from fmpy.model_description import ScalarVariable
 from .derivative_checks import NOTABLE_ERROR, check_contradiction, check_smooth, relative
 from .derivatives import EvaluationError, Jacobian, differences, jacobian
 from .errors import UserError
-from .fmu import FmuError, Value, describe_any
+from .fmu import FmuError, Value, describe
 from .linear_model import LinearModel, reduced
 from .model_exchange import ModelInstance
 from .plant_variables import bound_of, index_of, nominal_of, quantities, real_inputs, real_outputs, start_of
@@ -50,12 +50,6 @@ class CoarseModel:
     smooth: Array
 
 
-EXCHANGE_ONLY = (
-    "the FMU is for model exchange only and can be designed for, but not run: export it for co-simulation too, or compare "
-    "on the linear plant that `export --design` writes"
-)
-"""What is said of a plant whose FMU has no solver."""
-
 UNEVEN = 0.3
 """By which part of its largest change an output may change otherwise to the other side and be called smooth."""
 
@@ -72,7 +66,7 @@ class Plant(ABC):
 
     def __init__(self, path: Path, names: Taking, start: dict[str, Value]) -> None:
         self.path, self.start = path, start
-        self.variables = {v.name: v for v in describe_any(path)[1].modelVariables}
+        self.variables = {v.name: v for v in describe(path)[1].modelVariables}
         self.states, self.inputs, self.outputs = names.states, names.inputs, names.outputs
         self.n, self.m = len(self.states), len(self.inputs)
         self.names = [v.name for v in (*self.states, *self.inputs)]
@@ -218,8 +212,6 @@ class ModelExchangePlant(Plant):
         A, B = J[: self.n, : self.n], J[: self.n, self.n :]
         y = self._values(z)[self.n :]
         C, D = J[self.n :, : self.n], J[self.n :, self.n :]
-        if self._instance.description.coSimulation is None:
-            notes.append(EXCHANGE_ONLY)
         whole = self.model(z, (A, B, C, D), y, notes, error=worst, method=f"model exchange, {method}")
         return reduced(whole, self.kept)
 

@@ -22,7 +22,7 @@ import numpy as np
 from .derivative_checks import largest
 from .derivatives import EvaluationError, finite, least_steps, solve
 from .errors import UserError
-from .fmu import Value, describe_any
+from .fmu import Value, describe
 from .interrupts import deferred_interrupt
 from .linear_model import LinearModel, finite_model
 from .linear_plants import ModelExchangePlant, Plant
@@ -85,7 +85,7 @@ def open_plant(
     step: float | None,
 ) -> Plant:
     """Return the plant, for model exchange where the FMU is and no state names its parameter; raises as `linear_model`."""
-    _, description = describe_any(path)
+    _, description = describe(path)
     paired = any("=" in name for name in states)
     if description.modelExchange is not None and not paired:
         if step is not None:

@@ -19,7 +19,8 @@ import numpy as np
 from fmu_export.variables import did_you_mean
 
 from .errors import UserError
-from .fmu import RECORDED, FmuError, Instance, Port
+from .fmu import RECORDED, FmuError, Port
+from .integration import IntegratedInstance, opened
 from .interrupts import deferred_interrupt, second_ends
 from .native_loop import NativeLoop, needs_python
 from .results import Interrupted, Result, SimulationError, versions
@@ -61,7 +62,7 @@ class Coupling:
         names = [c.name for c in system.components]
         if len(set(names)) != len(names) or not all(name.isidentifier() for name in names):
             raise UserError(f"instances need unique names of letters, digits and underscores, found {', '.join(names)}")
-        self.instances = {c.name: Instance(c.name, Path(c.path)) for c in system.components}
+        self.instances = {c.name: opened(c.name, Path(c.path), c.interface) for c in system.components}
         self.start = {c.name: self.instances[c.name].checked_start(c.start) for c in system.components}
         self.wires = [(self._end(w.source, "output"), self._end(w.target, "input"), w) for w in system.wires]
         self._plain_wires = tuple(system.wires)
@@ -251,6 +252,11 @@ def simulate(
     check_rows(steps // every + 2, len(recorded), every, folder=folder)
     if engine == "auto":
         engine = "fmpy" if needs_python(coupling.instances) else "native"
+    integrated = [name for name, i in coupling.instances.items() if isinstance(i, IntegratedInstance)]
+    if integrated and engine == "native":
+        raise UserError(
+            f"engine must be auto or fmpy where FMUs are run for model exchange, found native and {', '.join(integrated)}"
+        )
     about = {
         "versions": dict(versions()),
         "fmus": {
@@ -260,6 +266,7 @@ def simulate(
         "start_values": coupling.start,
         "wires": [[w.source, w.target] for w in system.wires],
         **_conversions(system),
+        **({"integrated": {n: coupling.instances[n].tolerance for n in integrated}} if integrated else {}),
         "order": order,
         "engine": engine,
         "step": step,

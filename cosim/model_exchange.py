@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NoReturn
 
 import fmpy.fmi2
 import numpy as np
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from .errors import UserError
-from .fmu import FmuError, Instance, Strict, Value, describe_any
+from .fmu import FmuError, Instance, Strict, Value, describe
 
 Array = np.ndarray
 
@@ -30,7 +31,7 @@ class ModelInstance(Instance):
     _library: ClassVar[type[Strict]] = FMU2StrictModel
 
     def _described(self) -> tuple[str, ModelDescription, str]:
-        folder, description = describe_any(self.path)
+        folder, description = describe(self.path)
         if description.modelExchange is None:
             raise UserError(f"{self.path} must be an FMI 2.0 FMU for model exchange, found one for co-simulation only")
         return folder, description, description.modelExchange.modelIdentifier or ""
@@ -84,31 +85,31 @@ class ModelInstance(Instance):
 
     def reals(self, variables: Sequence[ScalarVariable]) -> Array:
         """Return the values of real variables."""
-        found: list[float] = []
-        self._call("getReal", lambda: found.extend(self._fmu.getReal([v.valueReference for v in variables])))
-        return np.array(found)
+        return np.array(self._call("getReal", self._fmu.getReal, [v.valueReference for v in variables]))
 
     def directional(self, unknowns: Sequence[int], knowns: Sequence[int]) -> Array:
         """Return the partial derivatives of unknowns by knowns, both value references: a column for each known."""
         J = np.zeros((len(unknowns), len(knowns)))
         for j, known in enumerate(knowns):
-            found: list[float] = []
-            self._call(
-                "getDirectionalDerivative",
-                lambda k=known, f=found: f.extend(self._fmu.getDirectionalDerivative(list(unknowns), [k], [1.0])),
-            )
-            J[:, j] = found
+            derivative = self._fmu.getDirectionalDerivative
+            J[:, j] = self._call("getDirectionalDerivative", derivative, list(unknowns), [known], [1.0])
         return J
 
-    def _settle(self) -> None:
-        """Iterate events until nothing changes, then enter continuous-time mode."""
-        again = [True]
+    def update(self, time: float) -> float:
+        """Iterate the events of the present `time` [s] until nothing changes; return the time of the next event, or inf."""
         for _ in range(_MOST_ITERATIONS):
-            if not again[0]:
-                break
-            self._call("newDiscreteStates", lambda: again.__setitem__(slice(None), self._fmu.newDiscreteStates()))
-            if again[1]:
-                raise FmuError(f"{self.name}: the FMU asks for the end of the simulation at t = 0{self.cause()}")
-        else:
-            raise FmuError(f"{self.name}: {_MOST_ITERATIONS} event iterations at t = 0 do not come to an end")
+            again, ends, _, _, defined, at = self._call("newDiscreteStates", self._fmu.newDiscreteStates)
+            if ends:
+                self.refuse_end(time)
+            if not again:
+                return at if defined else math.inf
+        raise FmuError(f"{self.name}: {_MOST_ITERATIONS} event iterations at t = {time:g} s do not come to an end")
+
+    def refuse_end(self, time: float) -> NoReturn:
+        """Raise FmuError for an FMU that asks for the end of the simulation."""
+        raise FmuError(f"{self.name}: the FMU asks for the end of the simulation at t = {time:g} s{self.cause()}")
+
+    def _settle(self) -> None:
+        """Make the events at t = 0, then enter continuous-time mode."""
+        self.update(0.0)
         self._call("enterContinuousTimeMode", self._fmu.enterContinuousTimeMode)

@@ -18,6 +18,7 @@ from fmu_export.native_build import BuildError
 from .build import loop_library
 from .errors import UserError
 from .fmu import Instance, Port
+from .integration import IntegratedInstance
 
 SECONDS_PER_CALL = 0.05
 """How long a call runs before Python may look for Ctrl-C and report progress."""
@@ -255,9 +256,10 @@ def _address(slot: Slot) -> int:
 
 
 def needs_python(instances: Mapping[str, Instance]) -> bool:
-    """Whether an FMU among `instances` declares that it needs an execution tool, as Python FMUs do.
+    """Whether the loop in C is no gain or cannot be: for FMUs that are Python, or that are integrated here.
 
-    Called without Python's global lock such an FMU takes and gives it back in every call, which costs more than the loop
-    saves.
+    Called without Python's global lock a Python FMU takes and gives it back in every call, which costs more than the loop
+    saves; it declares that it needs an execution tool.
     """
-    return any(i.description.coSimulation.needsExecutionTool for i in instances.values())  # type: ignore[union-attr]
+    kinds = [i.description.coSimulation for i in instances.values() if not isinstance(i, IntegratedInstance)]
+    return len(kinds) < len(instances) or any(kind.needsExecutionTool for kind in kinds)  # type: ignore[union-attr]

@@ -26,6 +26,7 @@ from . import certified, parameter_files, pendulum, ssp, wiring
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, TRUE, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
+from .integration import Interface
 from .master import Engine, Order, step_count
 from .names import PlainName
 from .pendulum import WIRES, StartValue
@@ -76,10 +77,16 @@ class RunSection(_Section):
 _FMU = "name of a file in the folder given to the command or beside the scenario; no path; none: there is no such component"
 
 
+_INTERFACE = (
+    "CoSimulation: by the FMU's own steps; ModelExchange: integrated by CVode; none: CoSimulation where the FMU has it"
+)
+
+
 class PlantSection(_Section):
     """The plant FMU."""
 
     fmu: PlainName = Field(PENDULUM_FMUS[0], description=_FMU)
+    interface: Interface | None = Field(None, description=_INTERFACE)
     parameters: str | None = Field(
         None,
         description="of the pendulum; none: the FMU's own start values; or a set that replaces them, by name: "
@@ -101,6 +108,7 @@ class ControllerSection(_Section):
     """The controller FMU."""
 
     fmu: PlainName = Field(PENDULUM_FMUS[1], description=_FMU)
+    interface: Interface | None = Field(None, description=_INTERFACE)
     design: str | None = Field(
         None, description="of the pendulum: design file beside the scenario; none: the design exported in the FMU"
     )
@@ -116,6 +124,7 @@ class ComponentSection(_Section):
     fmu: PlainName = Field(
         description="name of a file in the folder given to the command or beside the scenario; no path"
     )
+    interface: Interface | None = Field(None, description=_INTERFACE)
     start: dict[str, StartValue] = Field(default_factory=dict, description="start values of the FMU by name")
 
 
@@ -371,7 +380,8 @@ class _Plan:
         if CONTROLLER in self.paths and wires not in WIRES.values():
             self._check_fed(wires, signals, started[CONTROLLER])
         names = self._sequence(wires)
-        components = tuple(Component(name, self.paths[name], started[name]) for name in names)
+        parts = self.scenario.parts
+        components = tuple(Component(n, self.paths[n], started[n], parts[n].interface) for n in names)
         system = System(components=components, wires=wires, signals=signals)
         if not self.scenario.controller.other_model:
             _check_model(system)

@@ -32,6 +32,7 @@ from fmu_export.ssp import OMS, SSC, SSD, write_ssp
 from .archives import unpack
 from .errors import UserError
 from .fmu import Value, describe, start_values_of
+from .integration import INTERFACES, interface_of
 from .names import is_plain
 from .structure import System
 from .unit_definitions import conversion, scale_of
@@ -116,6 +117,7 @@ class _Reader:
             if element.tag != f"{{{SSD}}}Component":
                 raise UserError(f"the element {element.get('name')!r} must be a component, found {_local(element.tag)}")
         self.names = self._names([element.get("name", "") for element in elements])
+        self.interfaces = {self.names[e.get("name", "")]: _interface(e) for e in elements}
         self.paths = self._placed({self.names[element.get("name", "")]: element for element in elements})
         start = {self.names[e.get("name", "")]: self._values(e) for e in elements}
         for name, value in self._values(system).items():
@@ -151,8 +153,8 @@ class _Reader:
     def _source(self, element: ET.Element) -> Path:
         """Return the path of a component's FMU."""
         name, kind = element.get("name"), element.get("type", FMU_TYPE)
-        if kind != FMU_TYPE or element.get("implementation", "CoSimulation") not in ("CoSimulation", "any"):
-            raise UserError(f"the component {name!r} must be an FMU for co-simulation, found {kind}")
+        if kind != FMU_TYPE:
+            raise UserError(f"the component {name!r} must be an FMU, found {kind}")
         return self._inside(element.get("source", ""), f"the component {name!r}")
 
     def _inside(self, source: str, what: str) -> Path:
@@ -238,7 +240,10 @@ class _Reader:
     def _scenario(
         self, system: ET.Element, start: Mapping[str, dict[str, Value]], wires: list[dict[str, Any]]
     ) -> dict[str, Any]:
-        parts = {name: {"fmu": path.name, "start": start[name]} for name, path in self.paths.items()}
+        parts = {
+            name: {"fmu": path.name, "interface": self.interfaces[name], "start": start[name]}
+            for name, path in self.paths.items()
+        }
         both = {name: parts.pop(name, {"fmu": "none"}) for name in (CONTROLLER, PLANT)}
         experiments = [
             d.defaultExperiment for d in map(self._description, self.paths) if d.defaultExperiment is not None
@@ -258,6 +263,16 @@ class _Reader:
         about = {"description": self.root.get("description", "") or self.root.get("name", "")}
         run = {"step": step if math.isfinite(step) else STEP, "duration": duration}
         return {**about, "run": run, "wires": wires, **both, "components": parts}
+
+
+def _interface(component: ET.Element) -> str | None:
+    """Return how a component wants its FMU to be run; None: as the FMU can."""
+    name, wanted = component.get("name"), component.get("implementation", "any")
+    if wanted not in ("any", *INTERFACES):
+        raise UserError(
+            f"the implementation of the component {name!r} must be any, {' or '.join(INTERFACES)}, found {shown(wanted)}"
+        )
+    return None if wanted == "any" else wanted
 
 
 def _local(tag: str) -> str:
@@ -305,6 +320,7 @@ def write(path: Path, name: str, system: System, duration: float, step: float) -
     for component in system.components:
         element = root.find(f".//{{{SSD}}}Component[@name='{component.name}']")
         assert element is not None
+        element.set("implementation", interface_of(component.path, component.interface))
         _add_values(element, component.path, component.start)
     connections = root.findall(f".//{{{SSD}}}Connection")
     for wire, connection in zip(system.wires, connections, strict=True):

@@ -7,15 +7,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from .fmu import Value
+from .integration import Interface
 
 
 @dataclass(frozen=True)
 class Component:
-    """An FMU in a system: its name there, its file, and the start values that differ from the file's."""
+    """An FMU in a system: its name there, its file, and the start values that differ from the file's.
+
+    `interface`: how it is run, see `integration.opened`.
+    """
 
     name: str
     path: Path
     start: Mapping[str, Value | str] = field(default_factory=dict)
+    interface: Interface | None = None
 
 
 @dataclass(frozen=True)

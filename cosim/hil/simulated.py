@@ -17,7 +17,8 @@ from typing import NamedTuple
 from filing.files import write_file
 
 from ..errors import UserError
-from ..fmu import FmuError, Instance
+from ..fmu import FmuError
+from ..integration import opened
 from ..structure import Component
 from .device import (
     AMPLIFIER_FAULT,
@@ -60,7 +61,7 @@ class Board:
     """
 
     def __init__(self, plant: Component, faults: Sequence[Fault] = ()) -> None:
-        self.plant = Instance("plant", Path(plant.path))
+        self.plant = opened("plant", Path(plant.path), plant.interface)
         for names, causality in ((_INPUTS, "input"), (_OUTPUTS, "output")):
             for name, unit in names.items():
                 self.plant.require(name, causality, unit)

@@ -97,7 +97,8 @@ def _steps(descriptions: Iterable[ET.Element]) -> list[float]:
     """Return the step sizes [s] that the FMUs want which cannot vary theirs; where all can, those of all."""
     steps: dict[bool, list[float]] = {False: [], True: []}
     for root in descriptions:
-        free = root.find("CoSimulation[@canHandleVariableCommunicationStepSize='true']") is not None
+        stepped = root.find("CoSimulation")
+        free = stepped is None or stepped.get("canHandleVariableCommunicationStepSize") == "true"
         experiment = root.find("DefaultExperiment")
         steps[free].append(float("nan" if experiment is None else experiment.get("stepSize", "nan")))
     return steps[False] or steps[True]

@@ -13,7 +13,7 @@ import pytest
 
 from cosim import master
 from cosim.errors import UserError
-from cosim.fmu import describe
+from cosim.fmu import Instance, describe
 from cosim.master import PROGRESS_EVERY, Interrupted, SimulationError, simulate
 from cosim.scenario import build_system, load_scenario
 from cosim.structure import Component, Signal, System, Wire
@@ -46,7 +46,7 @@ def nothing_starts(monkeypatch):
     def started(*_):
         raise AssertionError("an FMU was started")
 
-    monkeypatch.setattr(master.Instance, "start", started)
+    monkeypatch.setattr(Instance, "start", started)
 
 
 @pytest.mark.usefixtures("nothing_starts")

@@ -181,7 +181,11 @@ BOMB = '<!DOCTYPE a [<!ENTITY x SYSTEM "file:///etc/passwd">]>'
             {"elements": [f'<ssd:Component name="a" type="{TYPE}" source="http://x/a.fmu"/>']},
             "its file inside the archive",
         ),
-        ({"elements": ['<ssd:Component name="a" type="text/plain" source="x"/>']}, "must be an FMU for co-simulation"),
+        ({"elements": ['<ssd:Component name="a" type="text/plain" source="x"/>']}, "must be an FMU, found text/plain"),
+        (
+            {"elements": [f'<ssd:Component name="a" type="{TYPE}" source="a.fmu" implementation="Both"/>']},
+            "the implementation of the component 'a' must be any, CoSimulation or ModelExchange, found 'Both'",
+        ),
         ({"elements": [TANK.format("")], "connections": [HEAT]}, "must end at components, found 'controller'.'heat'"),
         (
             {
