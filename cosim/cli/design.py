@@ -79,6 +79,7 @@ def design(
             found.save(path)
             written = f"wrote {path}"
             print_design(found, reasons)
+            say_notes(designing.beyond_limits(found))
             console.print(escaped(designing.prospect(found, wish.direct, shown.update)))
     except KeyboardInterrupt:
         console.print(f"interrupted; {escaped(written)}")
