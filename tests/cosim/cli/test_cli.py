@@ -271,6 +271,11 @@ def test_ten_integrators_are_designed_and_exported(tmp_path):
     changed = ("--kind", "python", "-o", "python", "--set", "controller.mu=0.75")
     done = ended("export", "--design", "ten.json", *changed, cwd=tmp_path)
     assert done.stderr == "note: mu differs from the design's: its certificate does not cover it\n"
+    moved = ("-o", "moved", "--set", "controller.x3_equilibrium=0.5", "--set", "controller.u1_equilibrium=0")
+    done = ended("export", "--design", "ten.json", *moved, cwd=tmp_path)
+    assert done.stderr == (
+        "note: x3_equilibrium differs from the design's: the controller holds another equilibrium than its model's\n"
+    )
     accepted("export", "--design", "ten.json", "--kind", "python", "-o", "python", cwd=tmp_path)
     assert files(tmp_path / "python") == files(tmp_path / "fmus")
     start = {"plant.fmu": "ten_linear_plant.fmu", "plant.start.x1_0": 1e-3, "controller.fmu": "ten_controller.fmu"}
