@@ -1,6 +1,21 @@
 """`python -m cosim` is `qube-ihc`."""
 
-from .cli import main
+from __future__ import annotations
+
+import sys
+
+from .signals import CTRL_C
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C while that is loaded ends as it does later."""
+    try:
+        from .cli import main as run  # noqa: PLC0415 - takes a fifth of a second
+    except KeyboardInterrupt:
+        print("interrupted; no file was written", flush=True)
+        sys.exit(CTRL_C)
+    run()
+
 
 if __name__ == "__main__":
     main()

@@ -1,9 +1,9 @@
-"""Which start values of a controller FMU its design's certificate is about, and whether they were changed."""
+"""Which start values of a controller FMU its design's certificate and equilibrium are, and whether they were changed."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ihc_fmu.pendulum.interface import matrix, upper_triangle, vector
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 _PENDULUM = {*matrix("Phi"), *upper_triangle("P"), *vector("row"), *vector("k_lin"), "mu"}
 _ANY = re.compile(r"[KP]_\d+_\d+|mu")
+_EQUILIBRIUM = "_equilibrium"
 SHOWN = 3
 """Most names in a sentence."""
 
@@ -25,14 +26,23 @@ def certified_names(own: Mapping[str, Any]) -> list[str]:
 
 
 def remarks(own: Mapping[str, Any], chosen: Mapping[str, Any]) -> list[str]:
-    """Return in a sentence that `chosen` start values differ from those of the design in `own`; nothing where none does."""
-    changed = [name for name in certified_names(own) if name in chosen and chosen[name] != own[name]]
-    if not changed:
-        return []
-    more = len(changed) - SHOWN
-    names = ", ".join(changed[:SHOWN]) + (f" and {more} more" if more > 0 else "")
-    differ, them = ("differs", "it") if len(changed) == 1 else ("differ", "them")
-    return [f"{names} {differ} from the design's: its certificate does not cover {them}"]
+    """Return sentences that `chosen` start values differ from those of the design in `own`; nothing where none does."""
+    certified = certified_names(own)
+    equilibrium = [name for name in own if certified and name.endswith(_EQUILIBRIUM)]
+    changed, moved = (
+        [name for name in names if name in chosen and chosen[name] != own[name]] for names in (certified, equilibrium)
+    )
+    them = "it" if len(changed) == 1 else "them"
+    said = [f"{_differ(changed)} from the design's: its certificate does not cover {them}"] if changed else []
+    if moved:
+        said.append(f"{_differ(moved)} from the design's: the controller holds another equilibrium than its model's")
+    return said
+
+
+def _differ(names: Sequence[str]) -> str:
+    more = len(names) - SHOWN
+    listed = ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
+    return f"{listed} {'differs' if len(names) == 1 else 'differ'}"
 
 
 def start_values(design: Design) -> dict[str, Any]:

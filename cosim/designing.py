@@ -16,6 +16,7 @@ from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.regulator.interface import INPUTS, OUTPUTS, STATES
 from ihc_fmu.synthesis import (
+    SHARE_OF_LIMIT,
     Options,
     chosen_options,
     degrees,
@@ -29,6 +30,9 @@ from ihc_fmu.system import System
 from .errors import UserError
 
 Say = Callable[[str], object]
+
+ROUNDING = 1e-4
+"""By which what is reached on the unit ball may exceed what was asked for, relative."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +88,22 @@ def remarks(system: System) -> list[str]:
     found = ", ".join(f"{count} {what}" for count, most, what in sizes if count > most)
     rule = f"the FMUs take up to {STATES} states, {INPUTS} inputs and {OUTPUTS} outputs"
     return [f"{rule}, found {found}: this design cannot be exported"] if found else []
+
+
+def beyond_limits(design: Design) -> list[str]:
+    """Return a sentence for each input whose homogeneous part takes more of its limits on the unit ball than is chosen."""
+    said = []
+    for q, size, room in zip(design.system.inputs, design.u_max, design.system.room, strict=True):
+        if size <= SHARE_OF_LIMIT * room * (1.0 + ROUNDING):
+            continue
+        unit = "" if q.unit == "1" else f" {q.unit}"
+        half, what = ("", "it") if size > room else ("half of ", "with the linear part K_0 x it")
+        said.append(
+            f"the homogeneous part of {q.name} reaches {size:.4g}{unit} on the unit ball, more than {half}the "
+            f"{room:.4g}{unit} that the limits leave around the equilibrium: {what} may be cut off inside the ball, where "
+            "the proof then does not hold"
+        )
+    return said
 
 
 def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> UserError:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, StrictStr, field_validator, model_validator
 
+from fmu_export.units import same_unit
 from fmu_export.variables import did_you_mean
 
 from .errors import UserError
@@ -190,7 +191,7 @@ class Evaluation(_Part, frozen=True):
 
 def _groups(signals: Sequence[tuple[str, str]]) -> dict[str, tuple[int, ...]]:
     """Return one group of what has one unit, otherwise a group for each signal, with its name in brackets."""
-    if len({unit for _, unit in signals}) <= 1:
+    if all(same_unit(unit, signals[0][1]) for _, unit in signals):
         return {"": tuple(range(len(signals)))} if signals else {}
     return {f"[{signal}]": (k,) for k, (signal, _) in enumerate(signals)}
 

@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from fmu_export.units import same_unit
 from fmu_export.variables import did_you_mean
 
 from .errors import UserError
@@ -126,7 +127,7 @@ class Coupling:
             return
         check_units(wire, {name: instance.description for name, instance in self.instances.items()})
         units = declared_unit(a), declared_unit(b)
-        if (units[0] or NO_UNIT) == (units[1] or NO_UNIT) or unit_of(a) == unit_of(b):
+        if same_unit(*(unit or NO_UNIT for unit in units)) or same_unit(unit_of(a), unit_of(b)):
             return
         (owner, name), variable, unit = (target, b, units[0]) if units[0] else (source, a, units[1])
         described = unit_of(variable)

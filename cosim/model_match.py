@@ -246,9 +246,8 @@ def _of_a_design(file: Path) -> Expected:
     """Return what a design file says; raises as the file's loader."""
     design = Design.from_json(read_text(file, "design", MOST_BYTES))
     system = design.system
-    room = np.minimum(system.upper - system.u_eq, system.u_eq - system.lower)  # type: ignore[operator]
-    sizes = np.where(design.u_max > 0.0, design.u_max, np.where(np.isfinite(room), room, 1.0))
-    return Expected(system, design.extent, np.minimum(sizes, REACH * room))
+    sizes = np.where(design.u_max > 0.0, design.u_max, np.where(np.isfinite(system.room), system.room, 1.0))
+    return Expected(system, design.extent, np.minimum(sizes, REACH * system.room))
 
 
 @lru_cache(maxsize=16)

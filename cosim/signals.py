@@ -12,6 +12,9 @@ FORWARDED = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBR
 STOPPING = (signal.SIGINT, *FORWARDED)
 """The signals that ask a process to end."""
 
+CTRL_C = 128 + signal.SIGINT
+"""Exit code."""
+
 _received: list[int] = []
 
 

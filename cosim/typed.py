@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, Field, ValidationError
@@ -16,6 +16,14 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False, strict=True)]
 T = TypeVar("T", bound=BaseModel)
 
 _UNION = ("bool", "int", "float", "str")
+_RULES = {
+    "float_type": "must be a number",
+    "string_type": "must be a text",
+    **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    **dict.fromkeys(("tuple_type", "list_type"), "must be a list"),
+}
+"""Rules in the words of all messages, by pydantic's types of errors; its own words are plain for the others."""
 
 
 def checked(model: type[T], data: Any, source: object) -> T:
@@ -23,16 +31,16 @@ def checked(model: type[T], data: Any, source: object) -> T:
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise UserError(f"{source}: {_first_problem(model, error)}") from None
+        raise UserError(f"{source}: {_first_problem(model, data, error)}") from None
     except RecursionError:  # an object inside itself
         raise UserError(f"{source} is nested too deeply") from None
 
 
-def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
+def _first_problem(model: type[BaseModel], data: Any, error: ValidationError) -> str:
     problem = error.errors(include_url=False)[0]
-    place = [part for part in problem["loc"] if part != "[key]"]
+    place = _place(problem["loc"], data)
     if problem["type"] == "extra_forbidden":
-        return f"there is no entry {_dotted(place)}{did_you_mean(str(place[-1]), _known(model, place[:-1]))}"
+        return f"there is no entry {_dotted(place)}{did_you_mean(str(place[-1]), _known(model, problem['loc'][:-1]))}"
     if problem["type"] == "missing":
         return f"{_dotted(place)} is required"
     if problem["type"] == "value_error":
@@ -43,11 +51,31 @@ def _first_problem(model: type[BaseModel], error: ValidationError) -> str:
         place, rule = place[:-1], "must be a number, true, false or a name"
     elif not place or problem["type"].startswith(("model", "dict")):
         rule = "must be a table"
-    elif problem["type"] in ("tuple_type", "list_type"):
-        rule = "must be a list"
     else:
-        rule = problem["msg"].replace("Input should be", "must be")
+        rule = _RULES.get(problem["type"]) or problem["msg"].replace("Input should be", "must be")
     return f"{_dotted(place)} {rule}, found {shown(problem['input'])}".lstrip()
+
+
+def _place(location: Sequence[int | str], data: Any) -> list[int | str]:
+    """Return the parts of an entry's name in a file's data; the kind of a table of a list stands behind its number."""
+    place: list[int | str] = []
+    for part in location:
+        if part == "[key]":
+            continue
+        if place and isinstance(place[-1], int) and isinstance(data, Mapping) and data.get("kind") == part:
+            place[-1] = f"{place[-1]} ({part})"
+            continue
+        place.append(part)
+        data = _inside(data, part)
+    return place
+
+
+def _inside(data: Any, part: int | str) -> Any:
+    """Return an entry of a table or a list, None where there is none."""
+    try:
+        return data[part]
+    except (TypeError, LookupError):
+        return None
 
 
 def _choice_problem(place: list[Any], about: Mapping[str, str]) -> str:
@@ -63,7 +91,7 @@ def _dotted(place: list[Any]) -> str:
     return ".".join(str(part) if isinstance(part, int) or len(part) < 80 else f"{part[:80]}..." for part in place)
 
 
-def _known(model: type[BaseModel], place: list[Any]) -> list[str]:
+def _known(model: type[BaseModel], place: Sequence[Any]) -> list[str]:
     section: Any = model
     for part in place:
         declared: Mapping[str, Any] = getattr(section, "model_fields", {})

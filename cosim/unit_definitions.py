@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING
 
 from fmpy.model_description import ModelDescription, ScalarVariable
 
+from fmu_export.units import same_unit
+
 from .errors import UserError
 
 if TYPE_CHECKING:
@@ -87,7 +89,7 @@ def scale_text(source: Scale | None, target: Scale | None) -> str:
 
 
 def check_units(wire: Wire, descriptions: Mapping[str, ModelDescription]) -> None:
-    """Raise UserError where both ends of a wire that does not convert declare units, and other ones.
+    """Raise UserError where both ends of a wire that does not convert declare units, and other ones, see `same_unit`.
 
     `descriptions`: of the FMUs by component. Of a variable that an FMU does not have nothing is said.
     """
@@ -100,7 +102,7 @@ def check_units(wire: Wire, descriptions: Mapping[str, ModelDescription]) -> Non
     if wire.converts or a is None or b is None:
         return
     source, target = declared_unit(a), declared_unit(b)
-    if source and target and source != target:
+    if source and target and not same_unit(source, target):
         hint = scale_text(scale_of(descriptions[ends[0][0]], source), scale_of(descriptions[ends[1][0]], target))
         text = f"the wire {wire.source} -> {wire.target}"
         raise UserError(f"{text} must join equal units, found {source} and {target}{hint}")

@@ -9,6 +9,7 @@ import sys
 from typing import Annotated
 
 import typer
+from pydantic import TypeAdapter  # noqa: F401 - Typer loads it to parse, and would make a silent end of Ctrl-C meanwhile
 
 from .. import signals
 from ..errors import UserError
@@ -30,7 +31,7 @@ from .run import run
 from .ssp import ssp
 from .tune import tune
 
-USAGE, FAULT, CTRL_C = 2, 70, 130
+USAGE, FAULT = 2, 70
 """Exit codes, and FAILED, 1; 70 is EX_SOFTWARE of sysexits.h."""
 
 app = typer.Typer(
@@ -84,50 +85,59 @@ def options(
     """Take the options that stand before a command; `main` has seen to --debug."""
 
 
+COMMAND = typer.main.get_command(app)
+"""The command line, made when it is loaded, which takes a while."""
+
+
 def main() -> None:
     """Run the command line; its exit code says how it ended.
 
     0: well; 1: a run, a device or a compiler failed; 2: the user's mistake, in one sentence; 70: a fault of this program,
     with its traceback; 128 + n: signal n. The option --debug may stand anywhere and shows the traceback of every error.
     """
-    from fmu_export.native_build import BuildError, CompilerMissingError
-
-    from ..fmu import FmuError
-    from ..hil.device import DeviceError
-    from ..results import SimulationError
-
     signals.as_ctrl_c()
     degrade_output()
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
     try:
         try:
-            app(arguments)
+            COMMAND(arguments)
         finally:
             sys.stdout.flush()
     except SystemExit as end:
-        if end.code == CTRL_C:  # Typer makes this of a KeyboardInterrupt
+        if end.code == signals.CTRL_C:  # Typer makes this of a KeyboardInterrupt
             sys.exit(signals.exit_code())
         raise
     except UserError as error:
         say_error(error, traceback=debug)
         sys.exit(USAGE)
-    except CompilerMissingError as error:
-        say_error(error, f"{error}; pip install 'qube-ihc[cross]'", traceback=debug)
-        sys.exit(FAILED)
-    except (SimulationError, FmuError, BuildError, DeviceError) as error:
-        say_error(error, traceback=debug)
-        sys.exit(FAILED)
-    except MemoryError as error:
-        say_error(error, "there is not enough memory", traceback=debug)
-        sys.exit(FAILED)
     except Exception as error:
-        if not (isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST):
+        sentence = _failure(error)
+        if sentence is None:
             say_fault(error)
             sys.exit(FAULT)
-        _discard_output()
-        say_error(error, f"the output cannot be written: {error.strerror}", traceback=debug)
+        say_error(error, sentence, traceback=debug)
         sys.exit(FAILED)
+
+
+def _failure(error: Exception) -> str | None:
+    """Return the sentence of a run, a device or a compiler that failed, None for a fault of this program."""
+    from fmu_export.native_build import BuildError, CompilerMissingError
+
+    from ..fmu import FmuError
+    from ..hil.device import DeviceError
+    from ..results import SimulationError
+
+    if isinstance(error, CompilerMissingError):
+        return f"{error}; pip install 'qube-ihc[cross]'"
+    if isinstance(error, SimulationError | FmuError | BuildError | DeviceError):
+        return str(error)
+    if isinstance(error, MemoryError):
+        return "there is not enough memory"
+    if isinstance(error, OSError) and error.filename is None and error.errno in OUTPUT_LOST:
+        _discard_output()
+        return f"the output cannot be written: {error.strerror}"
+    return None
 
 
 def _discard_output() -> None:

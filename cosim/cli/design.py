@@ -11,7 +11,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_design, problems, say_notes
+from .display import console, escaped, interruptible, print_design, problems, say_notes
 
 
 class Method(StrEnum):
@@ -63,24 +63,20 @@ def design(
     Without options this is the paper's example. The numbers, why they were chosen, their certificate and the largest
     feasible alpha, or the control of a direct design, are printed; the file goes into `export --design`.
     """
-    from .. import designing
-
     path = output or Path("design.json")
     if path.suffix != ".json":
         raise UserError(f"--output must name a .json file, found {path}")
     check_replaceable(path, kind="design")
-    wish = designing.Wish(method is Method.direct, mu, alpha, u_max, delta_max, state, beta, psi, d_max)
-    of, wish = designing.system_and_wish(system, wish)
-    say_notes(designing.remarks(of))
-    written = "no file was written"
-    try:
+    with interruptible(path):
+        from .. import designing
+
+        wish = designing.Wish(method is Method.direct, mu, alpha, u_max, delta_max, state, beta, psi, d_max)
+        of, wish = designing.system_and_wish(system, wish)
+        say_notes(designing.remarks(of))
         with problems.status("solving the matrix inequalities") as shown:
             found, reasons = designing.find(of, wish, shown.update)
             found.save(path)
-            written = f"wrote {path}"
             print_design(found, reasons)
+            say_notes(designing.beyond_limits(found))
             console.print(escaped(designing.prospect(found, wish.direct, shown.update)))
-    except KeyboardInterrupt:
-        console.print(f"interrupted; {escaped(written)}")
-        raise
     console.print(f"wrote {escaped(path)}")

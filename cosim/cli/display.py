@@ -6,11 +6,14 @@ import io
 import math
 import sys
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 from traceback import print_exception
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+
+from fmu_export.files import is_folder
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 
 console = Console(emoji=False)
 problems = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
+
+NO_FILE = "no file was written"
 
 
 def degrade_output() -> None:
@@ -56,6 +61,28 @@ def say_notes(notes: Iterable[str]) -> None:
     """Print what the user should know, a line each, to the error output."""
     for note in notes:
         problems.print(f"[yellow]note:[/] {escaped(note)}")
+
+
+@contextmanager
+def interruptible(*places: Path) -> Iterator[None]:
+    """On Ctrl-C in the block, say which of these files, or of the files in these folders, were written until then."""
+    before = _stamps(places)
+    try:
+        yield
+    except KeyboardInterrupt:
+        written = ", ".join(str(path) for path, stamp in _stamps(places).items() if before.get(path) != stamp)
+        console.print(f"interrupted; {escaped(f'wrote {written}') if written else NO_FILE}")
+        raise
+
+
+def _stamps(places: Iterable[Path]) -> dict[Path, tuple[int, int]]:
+    """Return what tells a file that was replaced from the earlier one, of files that there are."""
+    found = {}
+    for path in (file for place in places for file in (place.iterdir() if is_folder(place) else (place,))):
+        with suppress(OSError, ValueError):
+            status = path.stat()
+            found[path] = (status.st_ino, status.st_mtime_ns)
+    return found
 
 
 def escaped(thing: object) -> str:

@@ -12,7 +12,7 @@ from filing.ownership import check_replaceable
 from fmu_export.errors import shown
 
 from ..errors import UserError
-from .display import console, escaped, problems, say_notes, show_table
+from .display import console, escaped, interruptible, problems, say_notes, show_table
 from .options import assignments
 
 if TYPE_CHECKING:
@@ -70,29 +70,30 @@ def linearize(
 
     What you add to the file above its line (weights, limits, resolutions) stays when the command is repeated.
     """
-    from ..interrupts import second_ends
-    from ..linearize import linear_model
-    from ..system_file import write
-
     path = output or Path(f"{fmu.stem}.toml")
     if path.suffix != ".toml":
         raise UserError(f"-o must name a .toml file, found {path}")
     check_replaceable(path)
     values = {name: _value(name, text) for name, text in _pairs("--at", at)}
-    with second_ends(), problems.status(f"evaluating {escaped(fmu)}"):
-        model = linear_model(
-            fmu,
-            inputs or (),
-            outputs or (),
-            states=states or (),
-            at=values,
-            free=free or (),
-            start=dict(assignments(change)),
-            step=step,
-        )
-    write(path, model, f"From {fmu.name if fmu.name.isprintable() else 'an FMU'}: {model.method}.")
-    _print(model)
-    say_notes(model.notes)
+    with interruptible(path):
+        from ..interrupts import second_ends
+        from ..linearize import linear_model
+        from ..system_file import write
+
+        with second_ends(), problems.status(f"evaluating {escaped(fmu)}"):
+            model = linear_model(
+                fmu,
+                inputs or (),
+                outputs or (),
+                states=states or (),
+                at=values,
+                free=free or (),
+                start=dict(assignments(change)),
+                step=step,
+            )
+        write(path, model, f"From {fmu.name if fmu.name.isprintable() else 'an FMU'}: {model.method}.")
+        _print(model)
+        say_notes(model.notes)
     console.print(f"wrote {escaped(path)}")
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .display import console, escaped
+from .display import console, escaped, interruptible
 
 
 def new(
@@ -17,10 +17,13 @@ def new(
     ] = None,
 ) -> None:
     """Begin with a plant of your own: write a plant in Python, its system file and a scenario, which run as they are."""
-    from ..new import class_name
-    from ..new import new as write_new
+    folder = Path(name) if output is None else output
+    with interruptible(folder):
+        from ..new import class_name
+        from ..new import new as write_new
 
-    for path in write_new(name, Path(name) if output is None else output):
+        paths = write_new(name, folder)
+    for path in paths:
         console.print(f"wrote {escaped(path)}")
     commands = (
         f"pythonfmu build -f {name}.py -d {name}.fmu",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -100,9 +101,9 @@ _OFFSETS = {
 """Temperatures: they are points on a scale, not factors of other units."""
 
 _SYMBOL = r"(?:[A-Za-z]+|%)"
-_FACTOR = rf"(?:{_SYMBOL}(?:[+-]?[0-9]{{1,2}})?|1)"
-_PRODUCT = rf"{_FACTOR}(?:\.{_FACTOR})*"
-_UNIT = re.compile(rf"({_PRODUCT})(?:/({_FACTOR})|/\(({_PRODUCT})\))?")
+_FACTOR = rf"(?:{_SYMBOL}(?:\^?[+-]?[0-9]{{1,2}})?|1)"
+_PRODUCT = rf"{_FACTOR}(?:[.*]{_FACTOR})*"
+_UNIT = re.compile(rf"({_PRODUCT})((?:/{_FACTOR}|/\({_PRODUCT}\))*)")
 
 DISPLAY = {"rad": ("deg", 180.0 / 3.141592653589793), "rad/s": ("deg/s", 180.0 / 3.141592653589793)}
 """Units for people: name and factor."""
@@ -112,26 +113,59 @@ def base_unit(unit: str) -> BaseUnit | None:
     """Return the base units of `unit`, None where they are not known: any other unit is a name and nothing more.
 
     A unit is factors joined by dots, each a symbol with a prefix before and an exponent behind it, over at most one
-    denominator, which is one factor or several in parentheses.
+    denominator, which is one factor or several in parentheses. Other spellings of that are read too: m/s/s and m/s^2 as
+    m/s2, N*m as N.m.
     """
     if unit in _OFFSETS:
         return _OFFSETS[unit]
-    match = _UNIT.fullmatch(unit)
-    if match is None:
+    factors = _factors(unit)
+    if factors is None:
         return None
     total = _si()
-    for sign, factors in ((1, match[1]), (-1, match[2] or match[3] or "1")):
-        for symbol, exponent in re.findall(rf"({_SYMBOL}|1)([+-]?\d*)", factors):
-            quantity = _symbol(symbol)
-            if quantity is None:
-                return None
-            total = total.times(quantity, sign * int(exponent or 1))
+    for symbol, power in factors:
+        quantity = _symbol(symbol)
+        if quantity is None:
+            return None
+        total = total.times(quantity, power)
     try:
         factor = float(total.number) * math.pi**total.turns
     except OverflowError:
         return None
     powers = {base: power for base, power in zip(BASES, total.powers, strict=True) if power}
     return BaseUnit(powers, factor) if 0.0 < factor < math.inf else None
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two units are the same symbols to the same powers, however they are spelled: m/s/s and m/s2.
+
+    What other symbols would make of them does not count: a torque in N.m is not taken for an energy in J.
+    """
+    if one == other:
+        return True
+    powers, others = _powers(one), _powers(other)
+    return powers is not None and powers == others
+
+
+def _factors(unit: str) -> list[tuple[str, int]] | None:
+    """Return the symbols of a unit with their exponents in its order, negative below a stroke; None in another notation."""
+    match = _UNIT.fullmatch(unit)
+    if match is None:
+        return None
+    return [
+        (symbol, sign * int(exponent or 1))
+        for sign, part in ((1, match[1]), (-1, match[2]))
+        for symbol, exponent in re.findall(rf"({_SYMBOL}|1)\^?([+-]?\d*)", part)
+    ]
+
+
+def _powers(unit: str) -> dict[str, int] | None:
+    factors = _factors(unit)
+    if factors is None:
+        return None
+    powers: Counter[str] = Counter()
+    for symbol, power in factors:
+        powers[symbol] += power
+    return {symbol: power for symbol, power in powers.items() if power and symbol != "1"}
 
 
 def _symbol(symbol: str) -> _Quantity | None:
@@ -152,10 +186,12 @@ def per_second(unit: str) -> str:
     match = _UNIT.fullmatch(unit)
     if match is None:
         return f"({unit})/s"
-    below = [factor for factor in (match[2] or match[3] or "").split(".") if factor not in ("", "1")]
-    seconds = next((i for i, factor in enumerate(below) if re.fullmatch("s[1-9]?", factor)), None)
-    if seconds is None:
-        below.append("s")
+    below = [factor for factor in re.findall(_FACTOR, match[2]) if factor != "1"]
+    seconds = [factor for factor in below if re.fullmatch(r"s\^?[1-9]?", factor)]
+    if seconds:
+        power = 1 + sum(int(factor.strip("s^") or 1) for factor in seconds)
+        below[below.index(seconds[0])] = f"s{power}"
+        below = [factor for factor in below if factor not in seconds]
     else:
-        below[seconds] = f"s{int(below[seconds][1:] or 1) + 1}"
+        below.append("s")
     return f"{match[1]}/{below[0]}" if len(below) == 1 else f"{match[1]}/({'.'.join(below)})"

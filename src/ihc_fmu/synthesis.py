@@ -329,7 +329,7 @@ def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Sa
 
 
 def _bounds_from_limits(system: System) -> tuple[list[float], str]:
-    room = np.minimum(system.upper - system.u_eq, system.u_eq - system.lower)  # type: ignore[operator]
+    room = system.room
     limited = np.isfinite(room)
     least, most = (scale / SHARE_OF_LIMIT for scale in SCALES)
     for q, size in zip(system.inputs, room, strict=True):

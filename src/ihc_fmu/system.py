@@ -312,6 +312,11 @@ class System:
         """Number of outputs."""
         return len(self.outputs)
 
+    @property
+    def room(self) -> Array:
+        """What the limits leave around the inputs at the equilibrium, on the nearer side; infinite for none, shape (m,)."""
+        return np.minimum(self.upper - self.u_eq, self.u_eq - self.lower)  # type: ignore[operator]
+
     @cached_property
     def form(self) -> BlockForm:
         """The block form of (A, B); raises UserError for a pair that is not controllable."""

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from cosim.designing import Wish, find, remarks
+from cosim.designing import Wish, beyond_limits, find, remarks
 from cosim.errors import UserError
 from ihc_fmu.synthesis import degrees, largest_alpha
 from ihc_fmu.system import System
@@ -30,3 +30,33 @@ def test_a_system_that_no_fmu_takes_is_noted():
     assert remarks(System(A=-np.eye(17), B=np.eye(17, 9), C=np.eye(1, 17))) == [
         "the FMUs take up to 16 states, 8 inputs and 16 outputs, found 17 states, 9 inputs: this design cannot be exported"
     ]
+
+
+@pytest.mark.parametrize(
+    ("wish", "said"),
+    [
+        (Wish(), None),
+        (Wish(u_max="2"), None),
+        (Wish(u_max="3"), "reaches 3 N on the unit ball, more than half of the 4 N that the limits leave around"),
+        (Wish(u_max="5"), "reaches 5 N on the unit ball, more than the 4 N that the limits leave around"),
+        (
+            Wish(delta_max=10.0, state="x"),
+            r"reaches [\d.]+ N on the unit ball, more than the 4 N that the limits",
+        ),
+        (Wish(direct=True, alpha=1.0, u_max="5"), "reaches 5 N on the unit ball, more than the 4 N that the limits"),
+    ],
+)
+def test_a_ball_on_which_the_control_meets_its_limits_is_noted(wish, said):
+    system = System(
+        A=np.array([[0.0, 1.0], [0.0, 0.0]]),
+        B=np.array([[0.0], [1.0]]),
+        K=np.array([[-1.0, -1.5]]),
+        states=("x", "v"),  # type: ignore[arg-type]
+        inputs=("force [N]",),  # type: ignore[arg-type]
+        lower=np.array([-9.0]),
+        upper=np.array([6.0]),
+        u_eq=np.array([2.0]),
+    )
+    notes = beyond_limits(find(system, wish, lambda _: None)[0])
+    assert len(notes) == (said is not None)
+    assert not notes or re.match(f"the homogeneous part of force {said}", notes[0])

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from fmu_export.errors import UserError
-from fmu_export.units import base_unit
+from fmu_export.units import base_unit, same_unit
 from fmu_export.variables import Variable
 
 NEWTON = {"kg": 1, "m": 1, "s": -2}
@@ -85,10 +85,30 @@ UNKNOWN = ["furlong", "ft", "lb", "kt", "yd", "kmin", "kkg", "mdeg", "krpm", "m%
 
 
 @pytest.mark.parametrize(
-    "unit", [*UNKNOWN, "", "N.m/V.s", "m//s", "N/(m", "1/s^2", "N m", "m" * 300, "m99/pm99", "m100"]
+    "unit", [*UNKNOWN, "", "N.m/V.s", "m//s", "N/(m", "m/s/", "1/s^", "N m", "m" * 300, "m99/pm99", "m100"]
 )
 def test_other_units_are_names_and_nothing_more(unit):
     assert base_unit(unit) is None
+
+
+SPELLINGS = [
+    ("m/s2", "m/s/s", "m/s^2", "m.s-2", "m*s^-2", "m/(s.s)", "m/(s*s)/1"),
+    ("mm/s2", "mm/s/s"),
+    ("rad/s2", "rad/s/s"),
+    ("N.m", "N*m", "m.N"),
+    ("J",),
+    ("1", "m/m"),
+    ("Hz",),
+    ("1/s", "s^-1"),
+    ("N m",),
+]
+
+
+@pytest.mark.parametrize("k", range(len(SPELLINGS)))
+def test_a_unit_is_the_same_however_it_is_spelled_and_no_other(k):
+    unit, *others = SPELLINGS[k]
+    assert all(same_unit(unit, other) and base_unit(unit) == base_unit(other) for other in others)
+    assert not any(same_unit(unit, other) for j, row in enumerate(SPELLINGS) if j != k for other in row)
 
 
 @pytest.mark.parametrize(("unit", "part"), [("", "found 0"), ("a\nb", "printable"), ("x" * 201, "found 201")])

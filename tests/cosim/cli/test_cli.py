@@ -5,15 +5,17 @@ import importlib.metadata
 import json
 import math
 import os
+import pydoc
 import re
 import signal
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cosim import designing
+from cosim.__main__ import main as entry_point
 from cosim.fmu import describe
 from cosim.metrics import QUANTITIES, evaluate
 from cosim.results import Result
@@ -269,6 +271,11 @@ def test_ten_integrators_are_designed_and_exported(tmp_path):
     changed = ("--kind", "python", "-o", "python", "--set", "controller.mu=0.75")
     done = ended("export", "--design", "ten.json", *changed, cwd=tmp_path)
     assert done.stderr == "note: mu differs from the design's: its certificate does not cover it\n"
+    moved = ("-o", "moved", "--set", "controller.x3_equilibrium=0.5", "--set", "controller.u1_equilibrium=0")
+    done = ended("export", "--design", "ten.json", *moved, cwd=tmp_path)
+    assert done.stderr == (
+        "note: x3_equilibrium differs from the design's: the controller holds another equilibrium than its model's\n"
+    )
     accepted("export", "--design", "ten.json", "--kind", "python", "-o", "python", cwd=tmp_path)
     assert files(tmp_path / "python") == files(tmp_path / "fmus")
     start = {"plant.fmu": "ten_linear_plant.fmu", "plant.start.x1_0": 1e-3, "controller.fmu": "ten_controller.fmu"}
@@ -390,16 +397,53 @@ def loads_the_plant(pid):
         return False
 
 
-@pytest.mark.parametrize(("step", "said"), [("find", "no file was written"), ("prospect", "wrote design.json")])
-def test_an_interrupted_design_says_whether_it_was_written(tmp_path, monkeypatch, step, said):
-    def interrupt(*_):
+def interrupted_after(function):
+    """Return a function that does as `function` does, and then ends as Ctrl-C makes it, as a writing one does."""
+
+    def interrupted(*arguments, **options):
+        function(*arguments, **options)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(designing, step, interrupt)
-    done = ended("design", cwd=tmp_path)
-    assert done.returncode == 130
-    assert done.stdout.splitlines()[-1] == f"interrupted; {said}"
-    assert files(tmp_path) == (["design.json"] if step == "prospect" else [])
+    return interrupted
+
+
+@pytest.mark.parametrize(
+    ("step", "command", "written"),
+    [
+        ("cosim.designing.system_and_wish", ["design"], []),
+        ("cosim.designing.find", ["design"], []),
+        ("ihc_fmu.design.Design.save", ["design"], ["design.json"]),
+        ("cosim.designing.prospect", ["design"], ["design.json"]),
+        ("cosim.linearize.linear_model", ["linearize", "QubeServo2.fmu", "--input", "voltage"], []),
+        ("cosim.system_file.write", ["linearize", "QubeServo2.fmu", "--input", "voltage"], ["QubeServo2.toml"]),
+        ("ihc_fmu.pendulum.start_values.default_design", ["export"], []),
+        ("cosim.new._check_name", ["new", "cart"], []),
+        ("cosim.new.new", ["new", "cart"], ["cart/cart.py", "cart/cart.toml", "cart/cart_run.toml"]),
+    ],
+)
+def test_an_interrupted_command_says_what_was_written(tmp_path, monkeypatch, fmus, step, command, written):
+    module, _, name = step.rpartition(".")
+    monkeypatch.setattr(step, interrupted_after(pydoc.locate(module).__dict__[name]))
+    (tmp_path / "QubeServo2.fmu").symlink_to(fmus / "QubeServo2.fmu")
+    done = ended(*command, cwd=tmp_path)
+    assert done.returncode == 130, done.stderr
+    said = done.stdout.splitlines()[-1]
+    assert said.startswith("interrupted; ")
+    assert sorted(said.removeprefix("interrupted; ").removeprefix("wrote ").split(", ")) == (
+        written or ["no file was written"]
+    )
+    assert [name for name in files(tmp_path) if name != "QubeServo2.fmu"] == written
+
+
+def test_ctrl_c_while_the_command_line_is_loaded_is_told_too(monkeypatch, capsys):
+    class Loading:
+        def __getattr__(self, name):
+            raise KeyboardInterrupt
+
+    monkeypatch.setitem(sys.modules, "cosim.cli", Loading())
+    with pytest.raises(SystemExit) as end:
+        entry_point()
+    assert (end.value.code, capsys.readouterr().out) == (130, "interrupted; no file was written\n")
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")

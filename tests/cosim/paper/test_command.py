@@ -46,9 +46,7 @@ def test_missing_fmus_are_one_sentence(without_fmus):
     done, _ = without_fmus
     assert done.returncode == 2
     (line,) = done.stderr.strip().splitlines()
-    assert re.fullmatch(
-        r"error: FMU nowhere/\w+\.fmu does not exist; `qube-ihc export` makes the project's FMUs\b.*", line
-    )
+    assert line == ("error: FMU nowhere/QubeServo2.fmu does not exist; `qube-ihc export` makes the project's FMUs")
 
 
 def test_missing_fmus_leave_nothing_behind(without_fmus):

@@ -112,6 +112,8 @@ def test_name_that_the_fmu_gives_to_something_else_is_refused():
         ("N.m", "N.m/s"),
         ("rad/m", "rad/(m.s)"),
         ("V/(m.s)", "V/(m.s2)"),
+        ("m/s/s", "m/s3"),
+        ("W/s^2/m", "W/(s3.m)"),
     ],
 )
 def test_unit_of_a_derivative_has_a_second_below(unit, rate):
