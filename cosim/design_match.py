@@ -267,7 +267,7 @@ def _orders_of_states(system: System, both: Answers) -> Iterator[Explanation]:
 
 
 def _changes(inputs: Sequence[Quantity], known: Known) -> Iterator[tuple[tuple[int, ...], Array]]:
-    """Yield orders of inputs and factors of their effects: signs, one unit for all, or one input's."""
+    """Yield orders of inputs and factors of their effects: signs, and units in the same order."""
     m = len(inputs)
     same = tuple(range(m))
     orders: Iterable[tuple[int, ...]] = permutations(same)
@@ -277,14 +277,18 @@ def _changes(inputs: Sequence[Quantity], known: Known) -> Iterator[tuple[tuple[i
         signs = [(1.0,) * m, (-1.0,) * m, *(tuple(-1.0 if i == j else 1.0 for i in same) for j in same)]
     signs = list(signs)
     yield from ((order, np.array(sign)) for order in orders for sign in signs)
-    for sign in signs:
-        for j, quantity in enumerate(inputs):
-            yield from (
-                (same, np.array(sign) * np.where(np.arange(m) == j, 1.0 / f, 1.0)) for f in known[quantity.name]
-            )
-        if m > 1:
-            shared = set(known[inputs[0].name]).intersection(*(known[q.name] for q in inputs))
-            yield from ((same, np.array(sign) / f) for f in sorted(shared))
+    units = list(_units(inputs, known))
+    yield from ((same, np.array(sign) / sizes) for sign in signs for sizes in units)
+
+
+def _units(inputs: Sequence[Quantity], known: Known) -> Iterator[Array]:
+    """Yield sizes of inputs: of two any; of more one for all, or of one alone."""
+    m, sizes = len(inputs), [list(known[q.name]) for q in inputs]
+    if m <= 2:
+        yield from (np.array(one) for one in product(*([1.0, *own] for own in sizes)) if set(one) != {1.0})
+        return
+    yield from (np.where(np.arange(m) == j, size, 1.0) for j, own in enumerate(sizes) for size in own)
+    yield from (np.full(m, size) for size in sorted(set(sizes[0]).intersection(*sizes)))
 
 
 def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:

@@ -10,6 +10,7 @@ states; of one that shows them and cannot be evaluated, why.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -27,12 +28,13 @@ from ihc_fmu.system import Quantity
 from ihc_fmu.system import System as LinearSystem
 
 from . import design_match, pendulum, pendulum_match
-from .design_match import Expected
+from .design_match import SAME, Expected
 from .fmu import describe, start_values_of
 from .pendulum_match import Model
 from .plant_as_wired import COUNTS, TRUE, Found, Place, Port, Question, found, judged
 from .structure import Component, System, Wire
 from .unit_definitions import NO_UNIT, conversion, conversion_asked, known_scale, unit_of
+from .unit_slips import SCALE_TOLERANCE
 from .wire_factors import Wired
 from .wiring import CONTROLLER, PLANT
 
@@ -88,20 +90,30 @@ def _remarks(pair: _Pair, expected: Expected | None) -> list[str]:
         return [] if design is None or real is None else pendulum_match.remarks_of(design, real, gain)
     if design_match.fits(expected, plant.seen) is None:
         return [_not_compared("nothing that is measured answers to its commands there"), *_resting(question)]
-    return [*design_match.remarks(expected, plant.seen), *_mirrored(question), *_resting(question)]
+    return [*design_match.remarks(expected, plant.seen), *_cancelled(question), *_resting(question)]
 
 
 def _not_compared(reason: str) -> str:
     return f"the controller's model could not be compared with the plant's, because {reason}"
 
 
-def _mirrored(question: Question) -> list[str]:
-    """Return that wires turn all signs, where they do: then what the plant answers is the same."""
-    if any(port.factor >= 0.0 for port in (*question.outputs, *question.inputs)):
+def _cancelled(question: Question) -> list[str]:
+    """Return that wires turn all signs, or scale all numbers besides their units, and that this cancels; else nothing."""
+    there, back = (
+        [port.factor / (port.asked or 1.0) for port in ports] for ports in (question.outputs, question.inputs)
+    )
+    if max(there) < 0.0 and max(back) < 0.0:
+        return [
+            "the wires turn the signs of all measurements and of all commands: that answers as without, but the controller "
+            "holds the plant at the mirrored equilibrium, and its set-points and limits are mirrored too"
+        ]
+    sizes = np.abs([*there, *(1.0 / factor for factor in back if factor)])
+    declared = all(port.declared and port.asked and port.factor for port in (*question.outputs, *question.inputs))
+    if not declared or np.ptp(np.log(sizes)) > SAME or abs(math.log(sizes[0])) <= math.log(SCALE_TOLERANCE):
         return []
     return [
-        "the wires turn the signs of all measurements and of all commands: that answers as without, but the controller "
-        "holds the plant at the mirrored equilibrium, and its set-points and limits are mirrored too"
+        f"the wires multiply all measurements by {sizes[0]:.4g} and all commands by {1.0 / sizes[0]:.4g} besides their "
+        "units: that answers as without, but the controller weighs and limits other numbers than it was designed for"
     ]
 
 

@@ -195,6 +195,15 @@ def test_all_signs_turned_are_remarked(folder):
         built(folder, "zero", "zero_linear_plant", (-1, 1, -1))
 
 
+def test_factors_that_cancel_are_remarked(folder):
+    mirrored = built(folder, "zero", "zero_linear_plant", (0.001, 0.001, 1000))
+    assert remarks(mirrored) == [
+        "the wires multiply all measurements by 0.001 and all commands by 1000 besides their units: that answers as "
+        "without, but the controller weighs and limits other numbers than it was designed for"
+    ]
+    assert remarks(built(folder, "zero", "bare", (0.001, 0.001, 1000))) == []  # which units the plant has is not known
+
+
 def test_a_controller_of_another_model_is_run_without_starting_the_plant_before(folder, monkeypatch):
     system = built(folder, "si", "si_linear_plant", (1000, 1, 1), **{"controller.other_model": True})
     monkeypatch.setattr("cosim.plant_as_wired.open_plant", lambda *_: pytest.fail("the plant was opened"))
