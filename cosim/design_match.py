@@ -171,17 +171,21 @@ def fits(expected: Expected, plant: Seen) -> bool | None:
     return None if both is None else distance(both.design, both.plant).fits
 
 
-def explained(expected: Expected, plant: Seen, wires: Mapping[str, Sequence[Wired]]) -> str | None:
+def explained(
+    expected: Expected, plant: Seen, wires: Mapping[str, Sequence[Wired]], *, only_sizes: bool = False
+) -> str | None:
     """Return what would make a model that does not fit that of the plant; None where nothing does that is tried.
 
-    `wires` by the controller's outputs and inputs. Of several the likeliest is said, see `wire_factors`.
+    `wires` by the controller's outputs and inputs. Of several the likeliest is said, see `wire_factors`. `only_sizes`: of
+    those that change neither an order nor a sign.
     """
     both = answers(expected, plant)
     if both is None:
         return None
     system = expected.system
     known = {q.name: _known(q, wires.get(q.name, ())) for q in (*system.outputs, *system.inputs)}
-    return likeliest(explanations(system, both, known), wires)
+    found = explanations(system, both, known)
+    return likeliest((one for one in found if not only_sizes or one.only_sizes), wires)
 
 
 def _known(quantity: Quantity, wires: Sequence[Wired]) -> dict[float, str]:

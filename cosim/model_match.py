@@ -87,9 +87,14 @@ def _remarks(pair: _Pair, expected: Expected | None) -> list[str]:
     if pair.balances:
         design, real = pendulum_match.design_model(pair.controller_values), _in_angles(plant)
         gain = pendulum_match.k_lin_of(pair.controller_values)
-        return [] if design is None or real is None else pendulum_match.remarks_of(design, real, gain)
-    if design_match.fits(expected, plant.seen) is None:
-        return [_not_compared("nothing that is measured answers to its commands there"), *_resting(question)]
+        if real is None:
+            return [_not_compared("the two angles and their rates are not its states")]
+        return [] if design is None else pendulum_match.remarks_of(design, real, gain)
+    fits = design_match.fits(expected, plant.seen)
+    if not fits:  # and not refused, see _misfit
+        unknown = "where its states belong that do not have the design's names is not known"
+        silent = "nothing that is measured answers to its commands there"
+        return [_not_compared(silent if fits is None else unknown), *_resting(question)]
     return [*design_match.remarks(expected, plant.seen), *_cancelled(question), *_resting(question)]
 
 
@@ -132,18 +137,40 @@ def _misfit(expected: Expected, question: Question, plain: bool) -> str | None:
     plant = judged(question)
     if not isinstance(plant, Found) or design_match.fits(expected, plant.seen) is not False:
         return None
-    if not plant.placed and plant.moving is not None:
-        return None  # where its other states belong is not known
     wired = "" if plain else ", as it is wired"
+    model = f"the controller was designed for another model than the plant's{wired}"
+    if not plant.placed and plant.moving is not None:  # where its other states belong is not known
+        said = _scaled(expected, question)
+        return None if said is None else f"{model}: {said}"
     said = _explained(expected, question, plant) or _elsewhere(expected, question, plant)
     if said is not None:
-        return f"the controller was designed for another model than the plant's{wired}: {said}"
+        return f"{model}: {said}"
     unlike = design_match.unlike(expected, plant.seen)
     return f"the controller was designed for another system than this plant{wired}: {unlike}"
 
 
 def _explained(expected: Expected, question: Question, plant: Found) -> str | None:
     """Return what would make the design fit; by differences as wide as before the wires too, should one spoil them."""
+    plain = found(replace(question, places=question.unconverted))
+    for there in (plant, plain):
+        if not isinstance(there, Found):
+            continue
+        said = design_match.explained(expected, there.seen, _wires(expected, question))
+        if said is not None:
+            return said
+    return None
+
+
+def _scaled(expected: Expected, question: Question) -> str | None:
+    """Return which units or factors alone would make the design fit where the plant starts, if it rests there."""
+    there = found(replace(question, places=()))
+    if not isinstance(there, Found) or there.moving is not None or design_match.fits(expected, there.seen) is not False:
+        return None
+    return design_match.explained(expected, there.seen, _wires(expected, question), only_sizes=True)
+
+
+def _wires(expected: Expected, question: Question) -> dict[str, list[Wired]]:
+    """Return the wires between the two by the controller's quantities."""
     wires: dict[str, list[Wired]] = {}
     for ports, quantities, measures in (
         (question.outputs, expected.system.outputs, True),
@@ -155,12 +182,7 @@ def _explained(expected: Expected, question: Question, plant: Found) -> str | No
             source, target = ends if measures else ends[::-1]
             wire = Wired(source, target, port.factor, measures, port.asked, port.declared)
             wires.setdefault(name, []).append(wire)
-    plain = found(replace(question, places=question.unconverted))
-    for there in (plant, plain):
-        said = design_match.explained(expected, there.seen, wires) if isinstance(there, Found) else None
-        if said:
-            return said
-    return None
+    return wires
 
 
 def _elsewhere(expected: Expected, question: Question, plant: Found) -> str | None:

@@ -102,6 +102,11 @@ class Explanation:
         """The names of all quantities that it changes."""
         return {*self.moved, *(name for name, _ in self.sizes)}
 
+    @property
+    def only_sizes(self) -> bool:
+        """Whether it changes neither an order nor a sign."""
+        return not self.moved and all(size > 0.0 for _, size in self.sizes)
+
     def cost(self, wires: Mapping[str, Sequence[Wired]]) -> int:
         """Return how unlikely it is; `wires` by the controller's quantities."""
         joined = [wire for name in self.moved for wire in wires.get(name, ())]

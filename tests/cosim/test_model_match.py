@@ -20,6 +20,7 @@ from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
 from ihc_fmu.controller import design
 from ihc_fmu.system import from_dict
+from tests.cosim.command import ended
 from tests.cosim.linear_fmu import linear_fmu
 
 A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.3, 1.0], [0.0, 0.0, -5.0]])
@@ -131,6 +132,20 @@ def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, 
         said = remarks(built(tmp_path, wires=wrong))
         assert (problem is None and said == []) or ("cannot be read, so that its model is not judged" in said[0])
         assert problem is None or problem in said[0]
+
+
+@pytest.mark.parametrize("command", [("run", "--no-plot"), ("compare",), ("tune", "--a-min=1,0.5", "--b-max=1")])
+def test_a_command_says_once_that_a_plant_hides_its_states(exported, tmp_path, command):
+    shutil.copy(exported / "spring_controller.fmu", tmp_path)
+    linear_fmu(tmp_path / "hidden.fmu", [("command", "V")], [("encoder", "rad")], A, B, [[1, 0, 0]], x0=(0.3, 0.0, 0.0))
+    (tmp_path / "hidden.toml").write_text(
+        'plant.fmu = "hidden.fmu"\ncontroller.fmu = "spring_controller.fmu"\nrun.duration = 2.0', encoding="utf-8"
+    )
+    name, *options = command
+    done = ended(name, "hidden.toml", *options, "--fmus", ".", cwd=tmp_path)
+    said = " ".join((done.stdout + done.stderr).split())
+    assert done.returncode == 0, said
+    assert said.count("hidden.fmu is for co-simulation only and does not show its states") == 1
 
 
 def test_a_controller_fmu_carries_its_design_and_a_resource_has_a_plain_name(exported):

@@ -36,7 +36,11 @@ def maglev(name, length="m", current="A", *, at_rest=(GAP, 0.0, CURRENT)):
         "inputs": ["voltage [V]"],
         "outputs": [f"position [{length}]", f"current [{current}]"],
         "limits": [[-5.0, 5.0]],
-        "equilibrium": {"states": (at_rest * sizes).tolist(), "inputs": [RESISTANCE * at_rest[2]]},
+        "equilibrium": {
+            "states": (at_rest * sizes).tolist(),
+            "inputs": [RESISTANCE * at_rest[2]],
+            "outputs": (C @ (at_rest * sizes)).tolist(),
+        },
     }
     return design(from_dict(entries))
 
@@ -179,6 +183,27 @@ def test_where_nothing_tells_which_wires_lack_a_factor_both_are_said(folder):
         built(folder, "zero", "bare_milli", (1, 1, 1))
 
 
+def test_states_of_other_names_are_looked_at_where_the_plant_starts(folder):
+    sizes = np.full(3, 1e3)
+    names = [("position", None), ("v", None), ("current", None)]
+    starts = [f"{name}_0" for name, _ in names]
+    matrices = A * sizes[:, None] / sizes, B * sizes[:, None], np.eye(3)
+    linear_fmu(folder / "own.fmu", [("voltage", None)], names, *matrices, x0=(0.0,) * 3, starts=starts)
+    assert remarks(built(folder, "si", "own", (0.001, 0.001, 1))) == []
+    said = (
+        f"either position arrives in thousandths of m ({having(POSITION, 0.001)}), or voltage acts in thousands of V and "
+        f"current arrives in thousands of A ({having(BACK, 0.001)}; {without(f'{AMPERES} * 0.001')})"
+    )
+    with pytest.raises(UserError, match=refusal(said)):
+        built(folder, "si", "own", (1, 0.001, 1))
+    unknown, moves = remarks(built(folder, "si", "own", (0.001, 0.001, -1)))  # another equilibrium may have that sign
+    assert unknown == (
+        "the controller's model could not be compared with the plant's, because where its states belong that do not have "
+        "the design's names is not known"
+    )
+    assert moves.startswith("the plant does not rest at the design's equilibrium: ")
+
+
 def test_all_signs_turned_are_remarked(folder):
     mirrored, resting = remarks(built(folder, "si", "si_linear_plant", (-1, -1, -1)))
     assert mirrored == (
@@ -193,6 +218,15 @@ def test_all_signs_turned_are_remarked(folder):
     )
     with pytest.raises(UserError, match=refusal(said)):
         built(folder, "zero", "zero_linear_plant", (-1, 1, -1))
+
+
+def test_a_plant_that_does_not_answer_is_noted(folder):
+    names = [("position", None), ("rate", None), ("current", None)]
+    starts = [f"{name}_0" for name, _ in names]
+    numb = A, np.zeros((3, 1)), np.eye(3)
+    linear_fmu(folder / "numb.fmu", [("voltage", None)], names, *numb, x0=(0.0,) * 3, starts=starts)
+    said = "the controller's model could not be compared with the plant's, because nothing that is measured answers to its "
+    assert remarks(built(folder, "zero", "numb", (1, 1, 1))) == [f"{said}commands there"]
 
 
 def test_factors_that_cancel_are_remarked(folder):
