@@ -19,7 +19,7 @@ beside is not told from other parameters (sines of 0.15 and 0.36 for crane and a
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations, product
 
@@ -29,6 +29,7 @@ from ihc_fmu.system import Quantity, System
 
 from .poles import alike, poles_text, sorted_poles
 from .unit_slips import nearest, slips
+from .wire_factors import Explanation, Wired, likeliest
 
 Array = np.ndarray
 
@@ -41,8 +42,13 @@ NOTABLE = 0.12
 
 COUNT = 6
 """Points of the s-plane."""
-DEAD = 1e-6
-"""An output or an input without effect on the plant, relative to what it has in the design, says nothing."""
+DEAD = 1e-10
+"""An output or an input without effect on the plant, relative to what it has in the design, says nothing.
+
+A factor of 1000 that is taken the wrong way around leaves 1e-6, and with another one 1e-9.
+"""
+SAME = 0.01
+"""By which part sizes may differ and be taken for the same."""
 MOST_INPUTS, MOST_STATES = 4, 6
 """Up to which all orders are tried."""
 
@@ -165,16 +171,30 @@ def fits(expected: Expected, plant: Seen) -> bool | None:
     return None if both is None else distance(both.design, both.plant).fits
 
 
-def explained(expected: Expected, plant: Seen, suspects: Collection[str] = ()) -> str | None:
+def explained(
+    expected: Expected, plant: Seen, wires: Mapping[str, Sequence[Wired]], *, only_sizes: bool = False
+) -> str | None:
     """Return what would make a model that does not fit that of the plant; None where nothing does that is tried.
 
-    Of several that are as short, what changes `suspects` wins: quantities whose wires convert.
+    `wires` by the controller's outputs and inputs. Of several the likeliest is said, see `wire_factors`. `only_sizes`: of
+    those that change neither an order nor a sign.
     """
     both = answers(expected, plant)
     if both is None:
         return None
-    found = min(explanations(expected.system, both), key=lambda e: e.rank(suspects), default=None)
-    return None if found is None else "; ".join(found.said)
+    system = expected.system
+    known = {q.name: _known(q, wires.get(q.name, ())) for q in (*system.outputs, *system.inputs)}
+    found = explanations(system, both, known)
+    return likeliest((one for one in found if not only_sizes or one.only_sizes), wires)
+
+
+def _known(quantity: Quantity, wires: Sequence[Wired]) -> dict[float, str]:
+    """Return sizes by which numbers are mistaken, by units or by the wires' factors, with the unit in words, else ""."""
+    found = slips(quantity.unit)
+    for size in (size for wire in wires for size in wire.suspected()):
+        if all(abs(size / other - 1.0) > SAME for other in found):
+            found[size] = ""
+    return found
 
 
 def remarks(expected: Expected, plant: Seen) -> list[str]:
@@ -225,30 +245,19 @@ def unlike(expected: Expected, plant: Seen) -> str:
     return f"{differs}; poles {poles_text(design)} instead of {poles_text(real)} 1/s"
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """What would make the design's model that of the plant, in words, and the names of the quantities that it changes."""
-
-    said: tuple[str, ...]
-    changed: tuple[str, ...]
-
-    def __add__(self, other: Explanation) -> Explanation:
-        return Explanation(self.said + other.said, self.changed + other.changed)
-
-    def rank(self, suspects: Collection[str]) -> tuple[int, int, int, tuple[str, ...]]:
-        """Return what is least of the one that is taken."""
-        return len(self.said), len(self.changed), len(set(self.changed) - set(suspects)), self.said
+Known = Mapping[str, Mapping[float, str]]
+"""Sizes by which numbers are mistaken, of each output and input, and the unit that they are in then."""
 
 
-def explanations(system: System, both: Answers) -> Iterator[Explanation]:
+def explanations(system: System, both: Answers, known: Known) -> Iterator[Explanation]:
     """Yield what would make the design's model that of the plant."""
     yield from _orders_of_states(system, both)
     inputs = [system.inputs[j] for j in both.columns]
-    for order, factors in _changes(inputs):
+    for order, factors in _changes(inputs, known):
         turned = (both.design / both.u_size)[:, :, list(order)] * factors * both.u_size
-        found = _assigned(system, both, turned)
+        found = _assigned(system, both, turned, known)
         if found is not None:
-            yield _said(inputs, order, 1.0 / factors, "inputs") + found
+            yield _said(inputs, order, 1.0 / factors, "inputs", known) + found
 
 
 def _orders_of_states(system: System, both: Answers) -> Iterator[Explanation]:
@@ -258,11 +267,11 @@ def _orders_of_states(system: System, both: Answers) -> Iterator[Explanation]:
     C = np.asarray(system.C)[list(both.rows)]
     for order in permutations(range(system.n)):
         if distance(np.tensordot(C[:, list(order)], both.states, 1), both.plant).fits:
-            yield _said(system.states, np.argsort(order), np.ones(system.n), "states")
+            yield _said(system.states, np.argsort(order), np.ones(system.n), "states", {})
 
 
-def _changes(inputs: Sequence[Quantity]) -> Iterator[tuple[tuple[int, ...], Array]]:
-    """Yield orders of inputs and factors of their effects: signs, one unit for all, or one input's."""
+def _changes(inputs: Sequence[Quantity], known: Known) -> Iterator[tuple[tuple[int, ...], Array]]:
+    """Yield orders of inputs and factors of their effects: signs, and units in the same order."""
     m = len(inputs)
     same = tuple(range(m))
     orders: Iterable[tuple[int, ...]] = permutations(same)
@@ -272,13 +281,18 @@ def _changes(inputs: Sequence[Quantity]) -> Iterator[tuple[tuple[int, ...], Arra
         signs = [(1.0,) * m, (-1.0,) * m, *(tuple(-1.0 if i == j else 1.0 for i in same) for j in same)]
     signs = list(signs)
     yield from ((order, np.array(sign)) for order in orders for sign in signs)
-    for sign in signs:
-        for j, quantity in enumerate(inputs):
-            yield from (
-                (same, np.array(sign) * np.where(np.arange(m) == j, 1.0 / f, 1.0)) for f in slips(quantity.unit)
-            )
-        if m > 1:
-            yield from ((same, np.array(sign) / f) for f in slips("1"))
+    units = list(_units(inputs, known))
+    yield from ((same, np.array(sign) / sizes) for sign in signs for sizes in units)
+
+
+def _units(inputs: Sequence[Quantity], known: Known) -> Iterator[Array]:
+    """Yield sizes of inputs: of two any; of more one for all, or of one alone."""
+    m, sizes = len(inputs), [list(known[q.name]) for q in inputs]
+    if m <= 2:
+        yield from (np.array(one) for one in product(*([1.0, *own] for own in sizes)) if set(one) != {1.0})
+        return
+    yield from (np.where(np.arange(m) == j, size, 1.0) for j, own in enumerate(sizes) for size in own)
+    yield from (np.full(m, size) for size in sorted(set(sizes[0]).intersection(*sizes)))
 
 
 def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
@@ -287,16 +301,16 @@ def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def _assigned(system: System, both: Answers, design: Array) -> Explanation | None:
+def _assigned(system: System, both: Answers, design: Array, known: Known) -> Explanation | None:
     """Return which order, signs and units of the outputs make G of the design that of the plant; None where none do."""
     from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy
 
     outputs = [system.outputs[i] for i in both.rows]
-    r, known = len(outputs), [(1.0, *slips(q.unit)) for q in outputs]
+    r, sizes = len(outputs), [(1.0, *known[q.name]) for q in outputs]
     inner, squares, others = _products(design, both.plant)
     with np.errstate(all="ignore"):  # rows that nothing is like
         ratios = squares[:, None] / inner
-        factors = np.array([[nearest(ratios[i, k], known[k]) for k in range(r)] for i in range(r)])
+        factors = np.array([[nearest(ratios[i, k], sizes[i]) for k in range(r)] for i in range(r)])
         gain = factors / ratios
         sine = np.sqrt(np.maximum(0.0, 1.0 - inner**2 / (squares[:, None] * others)))
         possible = (GAINS[0] <= gain) & (gain <= GAINS[1]) & (sine <= LARGEST_SINE)
@@ -305,7 +319,7 @@ def _assigned(system: System, both: Answers, design: Array) -> Explanation | Non
     S = factors[np.arange(r), order]
     if not possible[np.arange(r), order].all() or not distance(design[order] * S[:, None, None], both.plant).fits:
         return None
-    return _said(outputs, order, S, "states" if system.measures_state else "outputs")
+    return _said(outputs, order, S, "states" if system.measures_state else "outputs", known)
 
 
 def _products(design: Array, plant: Array) -> tuple[Array, Array, Array]:
@@ -316,7 +330,9 @@ def _products(design: Array, plant: Array) -> tuple[Array, Array, Array]:
     return inner, np.sum(squares * weights, axis=1), weights @ np.sum(np.abs(design) ** 2, axis=2).T
 
 
-def _said(quantities: Sequence[Quantity], order: Sequence[int] | Array, factors: Array, what: str) -> Explanation:
+def _said(
+    quantities: Sequence[Quantity], order: Sequence[int] | Array, factors: Array, what: str, known: Known
+) -> Explanation:
     """Return order, signs and units in words: the plant's quantity i is the design's number order[i].
 
     The controller's numbers of it are factors[i] times as large as its unit in the design says.
@@ -332,13 +348,15 @@ def _said(quantities: Sequence[Quantity], order: Sequence[int] | Array, factors:
             f"the sign{_number(turned, '', 's')} of {', '.join(turned)} {_number(turned, 'is', 'are')} the opposite"
         )
     units: dict[str, list[str]] = {}
-    for i, quantity in enumerate(quantities):
-        if abs(factors[i]) != 1.0:
-            known = slips(quantity.unit)
-            units.setdefault(known[nearest(abs(factors[i]), known)], []).append(quantity.name)
+    for name, factor in zip(names, np.abs(factors), strict=True):
+        if factor != 1.0:
+            unit = known[name][nearest(factor, known[name])]
+            times = f"{1.0 / factor:.3g} times as strongly" if what == "inputs" else f"{factor:.3g} times as large"
+            units.setdefault(f"in {unit}" if unit else f"{times} as in the model", []).append(name)
     verb = "act" if what == "inputs" else "arrive"
-    said += [f"{', '.join(which)} {verb}{_number(which, 's', '')} in {unit}" for unit, which in units.items()]
-    return Explanation(tuple(said), (*moved, *turned, *(name for which in units.values() for name in which)))
+    said += [f"{', '.join(which)} {verb}{_number(which, 's', '')} {how}" for how, which in units.items()]
+    sizes = [(name, float(factor)) for name, factor in zip(names, factors, strict=True) if factor != 1.0]
+    return Explanation(tuple(said), tuple(moved), tuple(sizes))
 
 
 def _number(names: Sequence[str], one: str, more: str) -> str:

@@ -10,6 +10,7 @@ states; of one that shows them and cannot be evaluated, why.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from fmpy.model_description import ModelDescription
 
 from fmu_export.errors import UserError
 from fmu_export.reading import read_text
@@ -26,11 +28,14 @@ from ihc_fmu.system import Quantity
 from ihc_fmu.system import System as LinearSystem
 
 from . import design_match, pendulum, pendulum_match
-from .design_match import Expected
+from .design_match import SAME, Expected
 from .fmu import describe, start_values_of
 from .pendulum_match import Model
-from .plant_as_wired import COUNTS, Found, Place, Port, Question, found, judged
+from .plant_as_wired import COUNTS, TRUE, Found, Place, Port, Question, found, judged
 from .structure import Component, System, Wire
+from .unit_definitions import NO_UNIT, conversion, conversion_asked, known_scale, unit_of
+from .unit_slips import SCALE_TOLERANCE
+from .wire_factors import Wired
 from .wiring import CONTROLLER, PLANT
 
 Array = np.ndarray
@@ -74,24 +79,55 @@ def remarks(system: System) -> list[str]:
 
 def _remarks(pair: _Pair, expected: Expected | None) -> list[str]:
     question = pair.question
-    plant = None if question is None else judged(question)
-    if expected is None or plant is None:
+    if expected is None or question is None:
         return []
+    plant = judged(question)
     if isinstance(plant, str):
-        return [f"the controller's model could not be compared with the plant's, because {plant}"]
+        return [_not_compared(plant)]
     if pair.balances:
         design, real = pendulum_match.design_model(pair.controller_values), _in_angles(plant)
         gain = pendulum_match.k_lin_of(pair.controller_values)
-        return [] if design is None or real is None else pendulum_match.remarks_of(design, real, gain)
-    return [*design_match.remarks(expected, plant.seen), *_resting(question)]
+        if real is None:
+            return [_not_compared("the two angles and their rates are not its states")]
+        return [] if design is None else pendulum_match.remarks_of(design, real, gain)
+    fits = design_match.fits(expected, plant.seen)
+    if not fits:  # and not refused, see _misfit
+        unknown = "where its states belong that do not have the design's names is not known"
+        silent = "nothing that is measured answers to its commands there"
+        return [_not_compared(silent if fits is None else unknown), *_resting(question)]
+    return [*design_match.remarks(expected, plant.seen), *_cancelled(question), *_resting(question)]
 
 
-def _resting(question: Question | None) -> list[str]:
+def _not_compared(reason: str) -> str:
+    return f"the controller's model could not be compared with the plant's, because {reason}"
+
+
+def _cancelled(question: Question) -> list[str]:
+    """Return that wires turn all signs, or scale all numbers besides their units, and that this cancels; else nothing."""
+    there, back = (
+        [port.factor / (port.asked or 1.0) for port in ports] for ports in (question.outputs, question.inputs)
+    )
+    if max(there) < 0.0 and max(back) < 0.0:
+        return [
+            "the wires turn the signs of all measurements and of all commands: that answers as without, but the controller "
+            "holds the plant at the mirrored equilibrium, and its set-points and limits are mirrored too"
+        ]
+    sizes = np.abs([*there, *(1.0 / factor for factor in back if factor)])
+    declared = all(port.declared and port.asked and port.factor for port in (*question.outputs, *question.inputs))
+    if not declared or np.ptp(np.log(sizes)) > SAME or abs(math.log(sizes[0])) <= math.log(SCALE_TOLERANCE):
+        return []
+    return [
+        f"the wires multiply all measurements by {sizes[0]:.4g} and all commands by {1.0 / sizes[0]:.4g} besides their "
+        "units: that answers as without, but the controller weighs and limits other numbers than it was designed for"
+    ]
+
+
+def _resting(question: Question) -> list[str]:
     """Return that a plant does not rest at the design's equilibrium as it is wired, where it does not."""
-    there = None if question is None else found(question)
+    there = found(question)
     if isinstance(there, str):
         return [f"the plant cannot be evaluated at the design's equilibrium, as it is wired: {there}"]
-    if there is None or there.moving is None:
+    if there.moving is None:
         return []
     return [f"the plant does not rest at the design's equilibrium: {there.moving} there"]
 
@@ -101,27 +137,52 @@ def _misfit(expected: Expected, question: Question, plain: bool) -> str | None:
     plant = judged(question)
     if not isinstance(plant, Found) or design_match.fits(expected, plant.seen) is not False:
         return None
-    if not plant.placed and plant.moving is not None:
-        return None  # where its other states belong is not known
     wired = "" if plain else ", as it is wired"
+    model = f"the controller was designed for another model than the plant's{wired}"
+    if not plant.placed and plant.moving is not None:  # where its other states belong is not known
+        said = _scaled(expected, question)
+        return None if said is None else f"{model}: {said}"
     said = _explained(expected, question, plant) or _elsewhere(expected, question, plant)
     if said is not None:
-        return f"the controller was designed for another model than the plant's{wired}: {said}"
+        return f"{model}: {said}"
     unlike = design_match.unlike(expected, plant.seen)
     return f"the controller was designed for another system than this plant{wired}: {unlike}"
 
 
 def _explained(expected: Expected, question: Question, plant: Found) -> str | None:
     """Return what would make the design fit; by differences as wide as before the wires too, should one spoil them."""
-    system = expected.system
-    pairs = [(p, system.outputs) for p in question.outputs] + [(p, system.inputs) for p in question.inputs]
-    suspects = {of[port.number].name for port, of in pairs if port.factor != 1.0}
     plain = found(replace(question, places=question.unconverted))
     for there in (plant, plain):
-        said = design_match.explained(expected, there.seen, suspects) if isinstance(there, Found) else None
-        if said:
+        if not isinstance(there, Found):
+            continue
+        said = design_match.explained(expected, there.seen, _wires(expected, question))
+        if said is not None:
             return said
     return None
+
+
+def _scaled(expected: Expected, question: Question) -> str | None:
+    """Return which units or factors alone would make the design fit where the plant starts, if it rests there."""
+    there = found(replace(question, places=()))
+    if not isinstance(there, Found) or there.moving is not None or design_match.fits(expected, there.seen) is not False:
+        return None
+    return design_match.explained(expected, there.seen, _wires(expected, question), only_sizes=True)
+
+
+def _wires(expected: Expected, question: Question) -> dict[str, list[Wired]]:
+    """Return the wires between the two by the controller's quantities."""
+    wires: dict[str, list[Wired]] = {}
+    for ports, quantities, measures in (
+        (question.outputs, expected.system.outputs, True),
+        (question.inputs, expected.system.inputs, False),
+    ):
+        for port in ports:
+            name = quantities[port.number].name
+            ends = f"{PLANT}.{port.name}", f"{CONTROLLER}.{name}"
+            source, target = ends if measures else ends[::-1]
+            wire = Wired(source, target, port.factor, measures, port.asked, port.declared)
+            wires.setdefault(name, []).append(wire)
+    return wires
 
 
 def _elsewhere(expected: Expected, question: Question, plant: Found) -> str | None:
@@ -136,7 +197,7 @@ def _elsewhere(expected: Expected, question: Question, plant: Found) -> str | No
     return f"it is linearized about another equilibrium: it fits at {places[0]}, not at {places[1]}" if moved else None
 
 
-def _in_angles(found: Found | str | None) -> Model | None:
+def _in_angles(found: Found | str) -> Model | None:
     """Return a plant's model in its first two outputs and their rates, as the pendulum's; None where they are no states."""
     if not isinstance(found, Found):
         return None
@@ -214,8 +275,8 @@ class _Pair:
             start=tuple(sorted(self.plant.start.items())),
             outputs=outputs,
             inputs=inputs,
-            places=tuple(_places(expected, outputs, inputs).items()),
-            unconverted=tuple(_places(expected, *map(_unconverted, (outputs, inputs))).items()),
+            places=tuple(self._places(expected, outputs, inputs).items()),
+            unconverted=tuple(self._places(expected, *map(_unconverted, (outputs, inputs))).items()),
             span=_span(system),
         )
 
@@ -229,8 +290,49 @@ class _Pair:
                 and wire.source.startswith(f"{source}.")
                 and ends[CONTROLLER] in names
             ):
-                found.append(Port(ends[PLANT], names.index(ends[CONTROLLER]), wire.factor, wire.offset))
+                units = [self._unit(source, ends[source]), self._unit(target, ends[target])]
+                found.append(
+                    Port(
+                        ends[PLANT],
+                        names.index(ends[CONTROLLER]),
+                        wire.factor,
+                        wire.offset,
+                        asked=self._asked(source, target, units),
+                        declared=None not in units,
+                    )
+                )
         return tuple(found)
+
+    def _description(self, component: str) -> ModelDescription:
+        return describe((self.plant if component == PLANT else self.controller).path)[1]
+
+    def _unit(self, component: str, name: str) -> str | None:
+        """Return the unit of a component's variable; None where nothing says it."""
+        unit = next((unit_of(v) for v in self._description(component).modelVariables if v.name == name), NO_UNIT)
+        return None if unit == NO_UNIT else unit
+
+    def _asked(self, source: str, target: str, units: Sequence[str | None]) -> float | None:
+        """Return the factor that the units at the ends of a wire ask for, SI units for one that is not said."""
+        if units[0] == units[1]:
+            return None if units[0] is None else 1.0
+        pairs = zip((source, target), units, strict=True)
+        scales = [None if unit is None else known_scale(self._description(name), unit) for name, unit in pairs]
+        if any(unit is not None and scale is None for unit, scale in zip(units, scales, strict=True)):
+            return None
+        asked = conversion_asked(scales[0], scales[1])
+        return None if asked is None else asked[0]
+
+    def _places(self, expected: Expected, outputs: Sequence[Port], inputs: Sequence[Port]) -> dict[str, Place]:
+        """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires."""
+        units: dict[str, tuple[float, float] | None] = {}
+        for quantity in expected.system.states:
+            own = self._unit(PLANT, quantity.name + TRUE) or self._unit(PLANT, quantity.name)
+            units[quantity.name] = (1.0, 0.0)
+            if own is not None and quantity.unit not in (NO_UNIT, own):
+                a = known_scale(self._description(CONTROLLER), quantity.unit)
+                b = known_scale(self._description(PLANT), own)
+                units[quantity.name] = None if a is None or b is None else conversion(a, b)
+        return _places(expected, units, outputs, inputs)
 
 
 def _unconverted(ports: Sequence[Port]) -> tuple[Port, ...]:
@@ -266,16 +368,26 @@ def _span(system: LinearSystem) -> float:
     return SMALL / float(max(np.abs(np.linalg.eigvals(M)).max() for M in (system.A, closed)))
 
 
-def _places(expected: Expected, outputs: Sequence[Port], inputs: Sequence[Port]) -> dict[str, Place]:
-    """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires."""
+def _places(
+    expected: Expected,
+    units: Mapping[str, tuple[float, float] | None],
+    outputs: Sequence[Port],
+    inputs: Sequence[Port],
+) -> dict[str, Place]:
+    """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires.
+
+    `units`: (factor, offset) from the design's unit of a state to the plant's, None where that is another quantity.
+    """
     system = expected.system
     C, resolutions = np.asarray(system.C), np.asarray(system.resolutions)
     largest = np.abs(C) == np.abs(C).max(axis=1, keepdims=True)
     least = COUNTS * np.where(largest, resolutions[:, None] / np.where(largest, np.abs(C), 1.0), 0.0).max(axis=0)
-    found = {
-        q.name: Place(*map(float, numbers))
-        for q, *numbers in zip(system.states, np.asarray(system.x_eq), expected.extent, least, strict=True)
-    }
+    found = {}
+    for q, value, *sizes in zip(system.states, np.asarray(system.x_eq), expected.extent, least, strict=True):
+        unit = units[q.name]
+        if unit is not None:
+            factor, offset = unit
+            found[q.name] = Place(float(factor * value + offset), *(abs(factor) * float(size) for size in sizes))
     for port in outputs:
         if port.factor and (port.name not in found or port.factor != 1.0 or port.offset):
             i, size = port.number, abs(port.factor)

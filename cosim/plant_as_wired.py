@@ -24,7 +24,7 @@ from .fmu import FmuError, Value, describe, start_values_of
 from .interrupts import deferred_interrupt
 from .linear_plants import CoarseModel, Plant
 from .linearize import open_plant
-from .plant_variables import START, unit_of
+from .plant_variables import START, HiddenStatesError, unit_of
 
 Array = np.ndarray
 
@@ -40,12 +40,18 @@ TRUE, RESOLUTION = "_true", "_resolution"
 
 @dataclass(frozen=True)
 class Port:
-    """A wire: the plant's variable, the number of the controller's among its own, target = factor source + offset."""
+    """A wire: the plant's variable, the number of the controller's among its own, target = factor source + offset.
+
+    `asked`: the factor that the units at both ends ask for, None where these do not say; `declared`: whether both declare
+    theirs.
+    """
 
     name: str
     number: int
     factor: float
     offset: float
+    asked: float | None = None
+    declared: bool = False
 
 
 @dataclass(frozen=True)
@@ -89,14 +95,14 @@ class Found:
     placed: bool
 
 
-def judged(question: Question) -> Found | str | None:
-    """Return the plant where its controller is to hold it, else why it cannot be evaluated; None: its states are hidden.
+def judged(question: Question) -> Found | str:
+    """Return the plant where its controller is to hold it, else why it cannot be evaluated.
 
     A wire's mistaken factor moves the equilibrium besides. Where the plant does not rest at the one behind the wires, but at
     the same numbers before them, the latter is taken; so where it cannot be evaluated at the former.
     """
     wired = found(question)
-    if wired is None or question.places == question.unconverted or (isinstance(wired, Found) and wired.moving is None):
+    if question.places == question.unconverted or (isinstance(wired, Found) and wired.moving is None):
         return wired
     plain = found(replace(question, places=question.unconverted))
     if not isinstance(plain, Found):
@@ -109,8 +115,8 @@ def _apart(a: Found, b: Found) -> bool:
 
 
 @lru_cache(maxsize=64)  # a campaign's runs have few plants
-def found(question: Question) -> Found | str | None:
-    """Return the plant at the question's places, else why it cannot be evaluated there; None: its states are hidden."""
+def found(question: Question) -> Found | str:
+    """Return the plant at the question's places, else why it cannot be evaluated there."""
     try:
         plant = open_plant(
             question.path,
@@ -120,8 +126,10 @@ def found(question: Question) -> Found | str | None:
             dict(question.start) | _exact(question.path),
             None,
         )
-    except (UserError, FmuError, EvaluationError):
-        return None
+    except HiddenStatesError:
+        return f"{question.path.name} is for co-simulation only and does not show its states"
+    except (UserError, FmuError, EvaluationError) as error:
+        return str(error)
     try:
         with closing(plant), deferred_interrupt() as plant.interrupt, np.errstate(all="ignore"):
             plant.deadline = time.monotonic() + LONGEST

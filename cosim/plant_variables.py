@@ -22,6 +22,10 @@ START = "_0"
 """The parameter that sets the output S at the start is S_0 where nothing else is said."""
 
 
+class HiddenStatesError(UserError):
+    """An FMU is for co-simulation only and does not say what its states are."""
+
+
 def state_pairs(instance: Instance, states: tuple[str, ...]) -> list[tuple[str, str]]:
     """Return (output, what sets it at the start) of each state of a co-simulation FMU."""
     real = [v for v in instance.variables.values() if v.type == "Real"]
@@ -36,7 +40,7 @@ def state_pairs(instance: Instance, states: tuple[str, ...]) -> list[tuple[str, 
         found = [(name, setter(name)) for name in readable if setter(name) in settable]
         if found:
             return _bounded(found, "states")
-        raise UserError(
+        raise HiddenStatesError(
             f"{instance.path} is for co-simulation only and does not say what its states are: name each with --state "
             f"OUTPUT=PARAMETER, the real output that shows it and the parameter that sets it at the start"
         )

@@ -564,12 +564,13 @@ def _loose_controls(system: System) -> list[str]:
 def remarks(system: System, scenario: Scenario) -> list[str]:
     """Return what is to be known of a scenario's system before it runs, a sentence each.
 
-    Of its controller on its plant, although they fit, see `model_match`; of controls that act on nothing; of start values
-    that no certificate covers.
+    Of its controller on its plant, although they fit, see `model_match`, unless it may be of another model; of controls
+    that act on nothing; of start values that no certificate covers.
     """
     from .model_match import remarks as found  # noqa: PLC0415 - heavy
 
-    said = [*found(system), *_loose_controls(system)]
+    said = [] if scenario.controller.other_model else found(system)
+    said = [*said, *_loose_controls(system)]
     for component in system.components:
         if component.name == CONTROLLER:
             said += certified.remarks(_own_values(component.path), scenario.controller.start)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from fmu_export.units import same_unit
+from fmu_export.units import base_unit, same_unit
 
 from .errors import UserError
 
@@ -77,6 +77,24 @@ def conversion(source: Scale, target: Scale) -> tuple[float, float] | None:
     if source.exponents != target.exponents:
         return None
     return source.factor / target.factor, (source.offset - target.offset) / target.factor
+
+
+def known_scale(description: ModelDescription, unit: str) -> Scale | None:
+    """Return what the FMU says of `unit`, else what its name says; None where neither does."""
+    found = scale_of(description, unit)
+    named = base_unit(unit) if found is None else None
+    if named is None:
+        return found
+    return Scale(tuple(named.powers.get(base, 0) for base in BASES), named.factor, named.offset)
+
+
+def conversion_asked(source: Scale | None, target: Scale | None) -> tuple[float, float] | None:
+    """Return (factor, offset) from one unit to the other; None where they are of different quantities, or both None.
+
+    Of one that is None the SI unit of the other is taken.
+    """
+    one = source or target
+    return None if one is None else conversion(source or Scale(one.exponents), target or Scale(one.exponents))
 
 
 def scale_text(source: Scale | None, target: Scale | None) -> str:

@@ -12,7 +12,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_tuning, staged_progress
+from .display import console, escaped, print_tuning, say_notes, staged_progress
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded, loaded_design
 
 
@@ -60,7 +60,7 @@ def tune(
 
     from ..campaign import Journal
     from ..pendulum import is_controller
-    from ..scenario import controller_values, with_tolerances
+    from ..scenario import build_system, controller_values, remarks, with_tolerances
     from ..tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from ..tuning import tune as run_tuning
 
@@ -79,6 +79,7 @@ def tune(
     problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
+    say_notes(remarks(build_system(chosen, fmus, folder), chosen))
     problem = replace(problem, scenario=with_tolerances(chosen, fmus, folder))
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)

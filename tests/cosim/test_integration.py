@@ -295,7 +295,10 @@ def test_fast_oscillations_keep_their_tolerance_over_large_steps(model):
 @pytest.mark.parametrize(
     ("kind", "sentence"),
     [
-        (DISCARDS, r"a: no step leads on from t = 0\.(5|4999)\d* s: fmi2GetDerivatives at t = 0\.5\d* s returned discard"),
+        (
+            DISCARDS,
+            r"a: no step leads on from t = 0\.(5|4999)\d* s: fmi2GetDerivatives at t = 0\.5\d* s returned discard",
+        ),
         (NOT_FINITE, r"a: no step leads on from t = 0\.(5|4999)\d* s: the derivatives at t = 0\.5\d* s are not finite"),
         (FAILS, r"a: fmi2GetDerivatives at t = 0\.\d+ s returned error"),
         (ENDS, r"a: the FMU asks for the end of the simulation at t = 0\.6 s"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import zipfile
 
@@ -19,6 +20,7 @@ from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
 from ihc_fmu.controller import design
 from ihc_fmu.system import from_dict
+from tests.cosim.command import ended
 from tests.cosim.linear_fmu import linear_fmu
 
 A = np.array([[0.0, 1.0, 0.0], [-2.0, -0.3, 1.0], [0.0, 0.0, -5.0]])
@@ -66,15 +68,18 @@ def test_counted_linear_plants_of_both_kinds_are_judged(exported, plant):
     loose = built(exported, plant, wires=wired()[:1])
     said = "the control controller.command acts on nothing: no wire leads from it"
     assert [notes(one, Scenario()) for one in (system, loose)] == [[], [said]]
+    back, there = "controller.command -> plant.command", "plant.encoder -> controller.encoder"
     for wires, problem in (
-        (wired(back=" * -1"), "the sign of command is the opposite"),
-        (wired(more=" * 57.29578"), "encoder arrives in degrees instead of rad"),
-        (wired(back=" * 1000"), "command acts in thousands of V"),
+        (wired(back=" * -1"), f"the sign of command is the opposite ({back} * -1 would fit without a factor)"),
+        (
+            wired(more=" * 57.29578"),
+            f"encoder arrives in degrees instead of rad ({there} * 57.2958 would fit without a factor)",
+        ),
+        (wired(back=" * 1000"), f"command acts in thousands of V ({back} * 1000 would fit without a factor)"),
         (wired("rate", " * 1.1"), "its states are in the order rate, angle, torque, not angle, rate, torque"),
     ):
-        with pytest.raises(
-            UserError, match=f"{OTHER} model than the plant's, as it is wired: {problem}; controller.other"
-        ):
+        said = re.escape(f"{OTHER} model than the plant's, as it is wired: {problem}; controller.other")
+        with pytest.raises(UserError, match=said):
             built(exported, plant, wires=wires)
     with pytest.raises(UserError, match="must join equal units, found rad/s and rad"):
         built(exported, plant, wires=wired("rate"))
@@ -109,12 +114,17 @@ def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, 
         tmp_path / "hidden.fmu", [("command", "V")], [("encoder", "rad")], A, B, [[1, 0, 0]], x0=(0, 0, 0)
     )
     shutil.copy(exported / "spring_controller.fmu", tmp_path)
-    assert remarks(built(tmp_path, hidden.name, wires=wrong)) == []
+    said = "the controller's model could not be compared with the plant's, because "
+    for wires in (wrong, wired()):
+        system = built(tmp_path, hidden.name, wires=wires)
+        hides = f"{said}hidden.fmu is for co-simulation only and does not show its states"
+        assert notes(system, Scenario()) == [hides]
     monkeypatch.setattr(plant_as_wired, "LONGEST", -1.0)
     plant_as_wired.found.cache_clear()
     (said,) = remarks(built(exported, wires=wired(back=" * -2")))
     assert said == "the controller's model could not be compared with the plant's, because it takes too long"
     monkeypatch.undo()
+    plant_as_wired.found.cache_clear()
     for change, problem in ((None, None), (lambda text: text.replace('"mu": ', '"mu": 9'), "mu must lie in")):
         changed = repacked(exported / "spring_controller.fmu", {"resources/design.json": change})
         shutil.copy(changed, tmp_path / "spring_controller.fmu")
@@ -122,6 +132,20 @@ def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, 
         said = remarks(built(tmp_path, wires=wrong))
         assert (problem is None and said == []) or ("cannot be read, so that its model is not judged" in said[0])
         assert problem is None or problem in said[0]
+
+
+@pytest.mark.parametrize("command", [("run", "--no-plot"), ("compare",), ("tune", "--a-min=1,0.5", "--b-max=1")])
+def test_a_command_says_once_that_a_plant_hides_its_states(exported, tmp_path, command):
+    shutil.copy(exported / "spring_controller.fmu", tmp_path)
+    linear_fmu(tmp_path / "hidden.fmu", [("command", "V")], [("encoder", "rad")], A, B, [[1, 0, 0]], x0=(0.3, 0.0, 0.0))
+    (tmp_path / "hidden.toml").write_text(
+        'plant.fmu = "hidden.fmu"\ncontroller.fmu = "spring_controller.fmu"\nrun.duration = 2.0', encoding="utf-8"
+    )
+    name, *options = command
+    done = ended(name, "hidden.toml", *options, "--fmus", ".", cwd=tmp_path)
+    said = " ".join((done.stdout + done.stderr).split())
+    assert done.returncode == 0, said
+    assert said.count("hidden.fmu is for co-simulation only and does not show its states") == 1
 
 
 def test_a_controller_fmu_carries_its_design_and_a_resource_has_a_plain_name(exported):
