@@ -30,8 +30,6 @@ SOLVER_TIME = 120.0
 """Longest time for one semidefinite program [s]."""
 RANGE = 1e3
 """Eigenvalues of P in the coordinates of the last one lie within 1/RANGE and RANGE."""
-ATTEMPTS = 3
-"""Programs for one step of the homotopy, each in the coordinates of its predecessor."""
 FIRST_STEP, LEAST_STEP, GROWTH = 0.25, 0.01, 1.5
 """Of the homotopy, as a share of the way."""
 NOTHING = 1e-8
@@ -147,17 +145,14 @@ def _step_program(n: int) -> Any:
 def improved(problem: Problem, mu: float, a: float) -> Problem | None:
     """Return the problem in the coordinates of a P that satisfies both inequalities; None where none is found."""
     program, P, matrices = _step_program(len(problem.E))
-    for _ in range(ATTEMPTS):
-        for parameter, F in zip(matrices, problem.both(mu, a), strict=True):
-            parameter.value = F / _size(F)
-        try:
-            solve(program, "a step")
-            problem = problem.to(np.asarray(P.value))
-        except (InfeasibleError, LinAlgError):
-            return None
-        if problem.margin(mu, a) > MARGIN:
-            return problem
-    return None
+    for parameter, F in zip(matrices, problem.both(mu, a), strict=True):
+        parameter.value = F / _size(F)
+    try:
+        solve(program, "a step")
+        problem = problem.to(np.asarray(P.value))
+    except (InfeasibleError, LinAlgError):
+        return None
+    return problem if problem.margin(mu, a) > MARGIN else None
 
 
 @dataclass
