@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.export import export_units
 from cosim.hil.identify import identify
+from cosim.pendulum_export import export_units
 from cosim.scenario import load_scenario, run_scenario
 from ihc_fmu.pendulum.start_values import default_design
 from plant_fmu.parameters import PARAMETER_SETS

@@ -17,8 +17,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.export import export_units
 from cosim.master import Order, simulate
+from cosim.pendulum_export import export_units
 from cosim.scenario import WIRES
 from cosim.structure import Component, System
 from ihc_fmu.pendulum.start_values import default_design

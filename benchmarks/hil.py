@@ -15,7 +15,6 @@ import tempfile
 import time
 from pathlib import Path
 
-from cosim.export import Kind, export_units
 from cosim.hil.device import Device
 from cosim.hil.log import percentiles
 from cosim.hil.loop import Loop
@@ -24,6 +23,7 @@ from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
 from cosim.hil.udp import UdpDevice, address_of
 from cosim.metrics import kept_upright
+from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
 from cosim.structure import Component

@@ -30,8 +30,8 @@ from fmpy.fmi2 import (
 from fmpy.ssp.simulation import simulate_ssp
 
 from benchmarks.monolithic import Monolithic
-from cosim.export import Kind, export_units
 from cosim.master import Engine, Order, simulate
+from cosim.pendulum_export import Kind, export_units
 from cosim.scenario import WIRES
 from cosim.structure import Component, System
 from fmu_export.variables import Value

@@ -1,1 +1,67 @@
-"""Co-simulation of the plant and controller FMUs: scenarios, master, results, metrics, plots, experiments."""
+"""Co-simulation: FMUs of designs, scenarios that couple FMUs of anyone, results with their metrics and pictures.
+
+`linear_model` finds a plant FMU's linear model; `export` makes the FMUs of a design; `run` and `compare` run a scenario,
+which is a file or a `Scenario`; `simulate` couples FMUs that are listed in Python. What comes of a run is a `Result`.
+
+The names load their modules when they are first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .errors import UserError
+    from .linearize import linear_model
+    from .master import simulate
+    from .metrics import Metrics, evaluate
+    from .plant_model import LinearModel
+    from .results import Interrupted, Result, SimulationError
+    from .running import compare, export, run
+    from .scenario import Scenario, load_scenario
+    from .structure import Component, Signal, System, Wire
+
+__all__ = [
+    "Component",
+    "Interrupted",
+    "LinearModel",
+    "Metrics",
+    "Result",
+    "Scenario",
+    "Signal",
+    "SimulationError",
+    "System",
+    "UserError",
+    "Wire",
+    "compare",
+    "evaluate",
+    "export",
+    "linear_model",
+    "load_scenario",
+    "run",
+    "simulate",
+]
+
+_HOMES = {
+    "cosim.errors": ("UserError",),
+    "cosim.plant_model": ("LinearModel",),
+    "cosim.linearize": ("linear_model",),
+    "cosim.master": ("simulate",),
+    "cosim.metrics": ("Metrics", "evaluate"),
+    "cosim.results": ("Interrupted", "Result", "SimulationError"),
+    "cosim.running": ("compare", "export", "run"),
+    "cosim.scenario": ("Scenario", "load_scenario"),
+    "cosim.structure": ("Component", "Signal", "System", "Wire"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

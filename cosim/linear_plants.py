@@ -18,8 +18,8 @@ from .derivative_checks import NOTABLE_ERROR, check_contradiction, check_smooth,
 from .derivatives import EvaluationError, Jacobian, differences, jacobian
 from .errors import UserError
 from .fmu import FmuError, Value, describe
-from .linear_model import LinearModel, reduced
 from .model_exchange import ModelInstance
+from .plant_model import LinearModel, reduced
 from .plant_variables import bound_of, index_of, nominal_of, quantities, real_inputs, real_outputs, start_of
 
 Array = np.ndarray

@@ -24,8 +24,8 @@ from .derivatives import EvaluationError, finite, least_steps, solve
 from .errors import UserError
 from .fmu import Value, describe
 from .interrupts import deferred_interrupt
-from .linear_model import LinearModel, finite_model
 from .linear_plants import ModelExchangePlant, Plant
+from .plant_model import LinearModel, finite_model
 from .plant_variables import finite_number, index_of, unit_of
 from .stepped_plants import CoSimulationPlant
 

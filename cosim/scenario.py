@@ -238,6 +238,12 @@ def load_scenario(name: str) -> tuple[Scenario, Path]:
     return _validated({"name": path.stem, **data}, str(path)), path.parent
 
 
+def load_located(name: str, fmus: Path) -> tuple[Scenario, Path, Path]:
+    """Return (scenario, its folder, the folder of its FMUs): `fmus`, unless it is an SSP file, which has its own."""
+    chosen, folder = load_scenario(name)
+    return chosen, folder, folder if Path(name).suffix == ssp.SUFFIX else fmus
+
+
 def _validated(data: dict[str, Any], source: str) -> Scenario:
     scenario = checked(Scenario, data, source)
     try:

@@ -13,9 +13,9 @@ from .derivative_checks import DIGITS, LARGEST_ERROR, NOTABLE_ERROR, check_smoot
 from .derivatives import EvaluationError, differences, jacobian
 from .errors import UserError
 from .fmu import FmuError, Instance
-from .linear_model import LinearModel
 from .linear_plants import CoarseModel, Plant, Taking, outputs_told
 from .matrix_logarithm import logarithm
+from .plant_model import LinearModel
 from .plant_variables import real_inputs, real_outputs, start_of, state_pairs
 
 Array = np.ndarray

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .export import Kind, kept_outputs
+from .pendulum_export import Kind, kept_outputs
 
 if TYPE_CHECKING:
     from fmu_export.guarded_slave import GuardedSlave

@@ -16,7 +16,7 @@ from fmu_export.reading import parse_toml, read_text
 from ihc_fmu.system import System, from_dict
 
 from .errors import UserError
-from .linear_model import LinearModel, sample_time_for
+from .plant_model import LinearModel, sample_time_for
 
 LINE = "# The model: linearize replaces what stands below this line and leaves what stands above as it is."
 """Parts a file in two."""

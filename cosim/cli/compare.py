@@ -13,7 +13,7 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, print_comparison, print_results, progress, say_notes
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded, varied
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, varied
 
 
 def compare(
@@ -54,7 +54,7 @@ def compare(
     Given results of `run` or `hil` instead, show them side by side.
     """
     from ..experiments import LAW, LAWS, Study, check_names, laws_of
-    from ..scenario import build_system, remarks
+    from ..scenario import build_system, load_located, remarks
 
     if laws is not None and vary is not None:
         raise UserError("compare takes --laws or --vary, not both")
@@ -63,7 +63,7 @@ def compare(
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
-    chosen, folder, fmus = loaded(scenario[0], fmus)
+    chosen, folder, fmus = load_located(scenario[0], fmus)
     chosen = chosen.changed(dict(assignments(change)))
     if vary is not None:
         entry, values = varied(vary)

@@ -9,7 +9,7 @@ import typer
 
 from filing.ownership import check_replaceable
 
-from ..export import EXPORTED, export_units
+from ..pendulum_export import EXPORTED, export_units
 from .compare import check_folder, run_and_write
 from .display import console, escaped
 from .options import FmusOption

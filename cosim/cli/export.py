@@ -12,7 +12,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from ..export import EXPORTED, Kind, Smc, export_units
+from ..pendulum_export import EXPORTED, Kind, Smc, export_units
 from ..system_export import export_system, exported_files
 from .display import console, escaped, interruptible, say_notes
 from .options import assignments, loaded_design

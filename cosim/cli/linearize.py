@@ -16,7 +16,7 @@ from .display import console, escaped, interruptible, problems, say_notes, show_
 from .options import assignments
 
 if TYPE_CHECKING:
-    from ..linear_model import LinearModel
+    from ..plant_model import LinearModel
 
 
 _PI = re.compile(r"([+-]?)(?:(\d+(?:\.\d*)?)\s*\*?\s*)?pi(?:\s*/\s*(\d+(?:\.\d*)?))?")

@@ -15,7 +15,6 @@ from ..errors import UserError
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from ..scenario import Scenario
 
 FAILED = 1
 """Exit code of a run, a device or a compiler that failed."""
@@ -40,15 +39,6 @@ RunArgument = Annotated[Path, typer.Argument(help="Result of `hil` (CSV, with it
 ControllerOption = Annotated[
     Path | None, typer.Option(help="Controller FMU; none: the scenario's, in the folder of `--fmus`.")
 ]
-
-
-def loaded(name: str, fmus: Path) -> tuple[Scenario, Path, Path]:
-    """Return (scenario, its folder, the folder of its FMUs): an SSP file has its own."""
-    from ..scenario import load_scenario
-    from ..ssp import SUFFIX
-
-    chosen, folder = load_scenario(name)
-    return chosen, folder, folder if Path(name).suffix == SUFFIX else fmus
 
 
 def loaded_design(path: Path) -> Design:

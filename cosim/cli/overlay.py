@@ -13,7 +13,7 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, print_results, progress, say_notes
-from .options import OTHER_FMU, SCENARIO_HELP, ControllerOption, FmusOption, SetOption, assignments, loaded
+from .options import OTHER_FMU, SCENARIO_HELP, ControllerOption, FmusOption, SetOption, assignments
 
 if TYPE_CHECKING:
     from ..results import Result
@@ -53,6 +53,7 @@ def overlay(
     from ..overlay import other_files, scenario_in
     from ..plots import COMPARISON
     from ..results import Result
+    from ..scenario import load_located
 
     folder = output or run.with_name(f"{run.stem}_overlay")
     pictures = (f"{name}.png" for name in COMPARISON)
@@ -68,7 +69,7 @@ def overlay(
         others = other_files(result, chosen, fmus, beside)
         say_notes(f"{name} is not the file that the run was made with (another GUID)" for name in others)
     else:
-        chosen, beside, fmus = loaded(scenario, fmus)
+        chosen, beside, fmus = load_located(scenario, fmus)
         chosen = chosen.changed(dict(assignments(change)))
     for option, given in (("--parameters", parameters), ("--controller", controller)):
         if given is not None:

@@ -10,7 +10,7 @@ import typer
 
 from filing.ownership import check_replaceable
 
-from ..export import export_units
+from ..pendulum_export import export_units
 from .display import console, escaped, print_claims, staged_progress
 
 

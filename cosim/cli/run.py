@@ -12,7 +12,7 @@ from filing.ownership import check_replaceable, is_ours
 
 from ..errors import UserError
 from .display import console, escaped, print_metrics, progress, say_notes, warn_of_messages
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
 if TYPE_CHECKING:
     from ..results import Result
@@ -39,9 +39,9 @@ def run(
     """
     from ..metrics import can_draw, can_evaluate
     from ..results import Interrupted, SimulationError
-    from ..scenario import build_system, remarks, rest_remarks, run_scenario
+    from ..scenario import build_system, load_located, remarks, rest_remarks, run_scenario
 
-    chosen, folder, fmus = loaded(scenario, fmus)
+    chosen, folder, fmus = load_located(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
     chosen = chosen.changed(changes)
     path = output or Path("results") / f"{chosen.name}.csv"

@@ -10,7 +10,7 @@ import typer
 
 from ..errors import UserError
 from .display import console, escaped, say_notes
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
 
 def ssp(
@@ -24,10 +24,10 @@ def ssp(
     Signals and disturbances have no place in it.
     """
     from ..master import Coupling
-    from ..scenario import build_system
+    from ..scenario import build_system, load_located
     from ..ssp import SUFFIX, write
 
-    chosen, folder, fmus = loaded(scenario, fmus)
+    chosen, folder, fmus = load_located(scenario, fmus)
     chosen = chosen.changed(dict(assignments(change)))
     path = output or Path(f"{chosen.name}{SUFFIX}")
     if path.suffix != SUFFIX:

@@ -13,7 +13,7 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, print_tuning, say_notes, staged_progress
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded, loaded_design
+from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded_design
 
 
 def tune(
@@ -60,11 +60,11 @@ def tune(
 
     from ..campaign import Journal
     from ..pendulum import is_controller
-    from ..scenario import build_system, controller_values, remarks, with_tolerances
+    from ..scenario import build_system, controller_values, load_located, remarks, with_tolerances
     from ..tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
     from ..tuning import tune as run_tuning
 
-    chosen, folder, fmus = loaded(scenario, fmus)
+    chosen, folder, fmus = load_located(scenario, fmus)
     chosen = chosen.changed(dict(assignments(change)))
     given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
     grid = Grid(

@@ -1,1 +1,79 @@
-"""The implicit homogeneous controller: offline design from (A, b, k_lin), online laws, supervisor."""
+"""The implicit homogeneous controller: designs with their proof for linear models of any order, and the controller itself.
+
+`System` holds a plant's linear model and the linear controller that works; `synthesize` makes the homogeneous controller of
+it, a `Design` with its certificate; `Controller` is that controller as an object. `inverse_design` and `direct_design` take
+all their `Options` from the user. The package `cosim` makes FMUs of a design and runs them.
+
+The names load their modules when they are first used: the units inside Python FMUs need the standard library only.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fmu_export.errors import UserError
+
+    from .certificate import Certificate, CertificateError, norm_of, settling_time_bound
+    from .controller import Controller
+    from .design import Design
+    from .lmi import InfeasibleError
+    from .options import Options
+    from .synthesis import Choice, chosen_options, direct_design, inverse_design, largest_alpha, synthesize
+    from .system import Quantity, System
+
+    __version__: str
+
+__all__ = [
+    "Certificate",
+    "CertificateError",
+    "Choice",
+    "Controller",
+    "Design",
+    "InfeasibleError",
+    "Options",
+    "Quantity",
+    "System",
+    "UserError",
+    "__version__",
+    "chosen_options",
+    "direct_design",
+    "inverse_design",
+    "largest_alpha",
+    "norm_of",
+    "settling_time_bound",
+    "synthesize",
+]
+
+_HOMES = {
+    "fmu_export.errors": ("UserError",),
+    "ihc_fmu.certificate": ("Certificate", "CertificateError", "norm_of", "settling_time_bound"),
+    "ihc_fmu.controller": ("Controller",),
+    "ihc_fmu.design": ("Design",),
+    "ihc_fmu.lmi": ("InfeasibleError",),
+    "ihc_fmu.options": ("Options",),
+    "ihc_fmu.synthesis": (
+        "Choice",
+        "chosen_options",
+        "direct_design",
+        "inverse_design",
+        "largest_alpha",
+        "synthesize",
+    ),
+    "ihc_fmu.system": ("Quantity", "System"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return version("qube-ihc")
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

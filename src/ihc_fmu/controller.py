@@ -3,11 +3,10 @@
 It is the unit that the controller's FMU holds, with the FMU's names and start values; nothing is computed here.
 
     >>> import numpy as np
-    >>> from ihc_fmu.controller import Controller, design
-    >>> from ihc_fmu.system import System
+    >>> from ihc_fmu import Controller, System, synthesize
     >>> A, B, h = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]]), 1e-3
     >>> pendulum = System(A=A, B=B, states=("angle [rad]", "rate [rad/s]"), inputs=("torque [N.m]",), sample_time=h)
-    >>> controller = Controller(design(pendulum.with_lqr([1.0, 1.0], [1.0])), a_min=0.05)
+    >>> controller = Controller(synthesize(pendulum.with_lqr([1.0, 1.0], [1.0])), a_min=0.05)
     >>> x = np.array([0.1, 0.0])
     >>> for _ in range(4000):
     ...     x = x + h * (A @ x + B @ controller(x))
@@ -18,7 +17,6 @@ It is the unit that the controller's FMU holds, with the FMU's names and start v
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,18 +32,8 @@ from .regulator.interface import INTERFACE, MODES, OUTPUTS, numbered
 from .regulator.start_values import LinearFilter, Regulator, design_regulator
 from .regulator.unit import HomogeneousControllerUnit
 from .sampled_unit import FAULTS
-from .synthesis import chosen_options, inverse_design
-from .system import System
 
 Array = np.ndarray
-
-
-def design(system: System, mu: float | None = None, alpha: float | None = None, **rest: Any) -> Design:
-    """Return the homogeneous controller made from the gain K of a system; what is not given is chosen.
-
-    `alpha` [1/s] and `rest` are entries of `synthesis.Options`. Raises UserError, InfeasibleError where there is none.
-    """
-    return inverse_design(system, chosen_options(system, mu, alpha, **rest).options)
 
 
 def resampled(design: Design, sample_time: Value | str | None) -> Design:

@@ -309,6 +309,36 @@ def chosen_options(
     return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons), start)
 
 
+def synthesize(system: System, mu: float | None = None, alpha: float | None = None, **options: Any) -> Design:
+    """Return the homogeneous controller made from the gain K of a system; what is not given is chosen.
+
+    Parameters
+    ----------
+    system
+        The linear model with its gain K.
+    mu
+        Degree, 0 < mu <= 1; None: 1, or the largest of some at which a solution is found.
+    alpha
+        Convergence rate [1/s] of (11); None: half of the largest one for which a solution is found.
+    **options
+        Further entries of `Options`, such as u_max.
+
+    Returns
+    -------
+    Design
+        With its certificate.
+
+    Raises
+    ------
+    UserError
+        For a system without a gain, or a gain or an option that cannot be used.
+    InfeasibleError
+        Where there is no design, or none is found.
+
+    """
+    return inverse_design(system, chosen_options(system, mu, alpha, **options).options)
+
+
 def degrees(system: System) -> tuple[float, ...]:
     """Return the mu that are tried where none is given, in this order: MUS, with integral action those up to 1/2."""
     return tuple(mu for mu in MUS if mu <= largest_mu(system))

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.export import export_units
+from cosim.pendulum_export import export_units
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario
 from cosim.structure import Component

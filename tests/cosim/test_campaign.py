@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from cosim import campaign
 from cosim.campaign import Job, Journal, code_files, run_all, run_numbers
 from cosim.errors import UserError
-from cosim.export import Kind, export_units
 from cosim.fmu import Instance
 from cosim.metrics import evaluate
+from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result, SimulationError
 from cosim.scenario import load_scenario, run_scenario
 

@@ -15,8 +15,8 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.fmu import FmuError, describe
-from cosim.linear_model import sample_time_for
 from cosim.linearize import linear_model
+from cosim.plant_model import sample_time_for
 from cosim.system_export import export_system
 from cosim.system_file import _hints, write
 from fmu_export.native_build import build_library, host_platform

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from cosim import plant_as_wired
-from cosim.export import Kind
 from cosim.model_match import remarks
+from cosim.pendulum_export import Kind
 from cosim.scenario import Scenario, build_system
 from cosim.scenario import remarks as notes
 from cosim.system_export import export_system
 from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
-from ihc_fmu.controller import design
+from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import from_dict
 from tests.cosim.command import ended
 from tests.cosim.linear_fmu import linear_fmu
@@ -44,7 +44,7 @@ OTHER = "the controller was designed for another"
 def exported(tmp_path_factory):
     """The FMUs of a design for ENTRIES, and of the same plant in Python."""
     folder = tmp_path_factory.mktemp("spring")
-    made = design(from_dict(ENTRIES))
+    made = synthesize(from_dict(ENTRIES))
     export_system(made, folder / "python", kind=Kind.python)
     export_system(made, folder)
     (folder / "python" / "spring_linear_plant.fmu").rename(folder / "python_plant.fmu")

@@ -8,8 +8,8 @@ import pytest
 from cosim import parameter_files
 from cosim.campaign import Job, Journal, run_all
 from cosim.errors import UserError
-from cosim.export import export_units
 from cosim.fmu import describe
+from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, build_system, load_scenario, run_scenario
 from plant_fmu.interface import start_values
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet

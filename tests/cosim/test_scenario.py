@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
 from cosim.experiments import check_outputs
-from cosim.export import export_units
 from cosim.fmu import start_values_of
 from cosim.inputs import DisturbanceSection, Sine
 from cosim.metrics import evaluate, kept_upright
+from cosim.pendulum_export import export_units
 from cosim.plots import law_of
 from cosim.scenario import (
     WIRES,

@@ -13,7 +13,7 @@ from cosim.scenario import remarks as notes
 from cosim.system_export import export_system
 from cosim.wire_factors import Explanation, Wired, likeliest
 from fmu_export.errors import UserError
-from ihc_fmu.controller import design
+from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import from_dict
 from tests.cosim.linear_fmu import linear_fmu
 
@@ -42,7 +42,7 @@ def maglev(name, length="m", current="A", *, at_rest=(GAP, 0.0, CURRENT)):
             "outputs": (C @ (at_rest * sizes)).tolist(),
         },
     }
-    return design(from_dict(entries))
+    return synthesize(from_dict(entries))
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from pathlib import Path
 
 import pytest
 
-from cosim.export import export_units
 from cosim.paper.study import FULL, Key, Study
+from cosim.pendulum_export import export_units
 from ihc_fmu.pendulum.start_values import default_design
 from tests.cosim.command import PLAIN, ended
 

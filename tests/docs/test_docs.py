@@ -11,7 +11,7 @@ import typer.main
 
 from cosim.cli import app
 from cosim.experiments import Study, compare
-from cosim.export import export_units
+from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, load_scenario
 from ihc_fmu.pendulum.start_values import default_design
 from ihc_fmu.system import ENTRIES

@@ -8,7 +8,7 @@ from fmpy import read_model_description, simulate_fmu
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
 
-from cosim.export import Kind, export_units
+from cosim.pendulum_export import Kind, export_units
 from fmu_export.errors import UserError
 from fmu_export.ssp import OMS, SSC, SSD
 from ihc_fmu.pendulum.start_values import default_design

@@ -11,8 +11,9 @@ from scipy.linalg import expm
 import ihc_fmu.controller
 from fmu_export.errors import UserError
 from fmu_export.native_fmu import export_native_fmu
-from ihc_fmu.controller import Controller, design, regulator_of, resampled
+from ihc_fmu.controller import Controller, regulator_of, resampled
 from ihc_fmu.regulator.native_unit import NATIVE
+from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import System
 from tests.fmu_export.conftest import Native
 from tests.ihc_fmu.regulator.conftest import H, agree
@@ -28,7 +29,7 @@ SYSTEM = System(
 
 @pytest.fixture(scope="module")
 def arm():
-    return design(SYSTEM, MU, ALPHA)
+    return synthesize(SYSTEM, MU, ALPHA)
 
 
 class Plant:

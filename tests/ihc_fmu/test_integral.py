@@ -10,12 +10,12 @@ from scipy.linalg import expm
 
 from fmu_export.errors import UserError
 from ihc_fmu.certificate import CertificateError
-from ihc_fmu.controller import Controller, design
+from ihc_fmu.controller import Controller
 from ihc_fmu.design import Design
 from ihc_fmu.homogeneity import homogeneous_norm
 from ihc_fmu.integral import IntegralAction, nearest
 from ihc_fmu.laws import block_state, controls, integrand
-from ihc_fmu.synthesis import Options, chosen_options, inverse_design
+from ihc_fmu.synthesis import Options, chosen_options, inverse_design, synthesize
 from ihc_fmu.system import System, from_dict
 from tests.ihc_fmu.blocks import random_system
 from tests.ihc_fmu.regulator.test_closed_loop import ARM, CART, H
@@ -133,12 +133,12 @@ def test_constant_disturbance_leaves_no_error(law, start, integral):
     """v ends at what takes the disturbance away; without integral action an error stays."""
     disturbance = np.array([0.3, -0.2])
     gain: Any = "direct" if integral == "direct" else -np.array([[8.0, 3.0, 2.0, 1.0], [3.0, 3.0, 1.0, 0.6]])
-    found = design(arm(integral=gain), 0.5, 0.3, u_max=[3.0, 3.0])
+    found = synthesize(arm(integral=gain), 0.5, 0.3, u_max=[3.0, 3.0])
     x, v = run(Controller(found, law=law, **start), ARM, np.zeros(4), 25.0, disturbance)
     assert np.abs(x).max() > 1e-3
     assert np.abs(x[-1]).max() < 1e-4
     np.testing.assert_allclose(v[-1], -disturbance, atol=1e-3)
-    plain = Controller(design(arm(), 0.5, 0.3, u_max=[3.0, 3.0]), law=law, **start)
+    plain = Controller(synthesize(arm(), 0.5, 0.3, u_max=[3.0, 3.0]), law=law, **start)
     without, _ = run(plain, ARM, np.zeros(4), 8.0, disturbance)
     assert np.abs(without[-1]).max() > 1e-3
 
@@ -152,7 +152,7 @@ def test_saturated_input_does_not_wind_up():
         "states": ("position", "speed"),
     }
     system = System(**entries, lower=-np.ones(1), upper=np.ones(1), integral="direct").with_lqr(np.ones(2), np.ones(1))
-    found = design(system, 0.5, 0.1)
+    found = synthesize(system, 0.5, 0.1)
     x, v = run(Controller(found, a_min=0.1, b_max=1.0), entries, np.array([-20.0, 0.0]), 120.0, np.array([0.4]))
     assert x[:, 0].max() < 2.0
     assert np.abs(v).max() < 1.0
@@ -162,7 +162,7 @@ def test_saturated_input_does_not_wind_up():
 
 def test_limited_norm_one_is_the_linear_pi_controller():
     """Its eigenvalues are stable for every Gamma > 0: the last step of the proof at r = 1."""
-    found = design(arm(integral="direct"), 0.5, 0.3)
+    found = synthesize(arm(integral="direct"), 0.5, 0.3)
     assert found.integral is not None
     poles = np.linalg.eigvals(
         np.block([[found.A + found.B @ found.K, found.B], [found.integral.K_i, np.zeros((2, 2))]])
@@ -183,7 +183,7 @@ def test_direct_gain_makes_both_poles_of_a_first_order_model_equal():
 
 
 def test_direct_gain_does_not_depend_on_the_scale_of_P():
-    found = design(arm(integral="direct"), 0.5, 0.3)
+    found = synthesize(arm(integral="direct"), 0.5, 0.3)
     smaller = found.scaled_to(u_max=0.1)
     assert found.integral is not None
     assert smaller.integral is not None
@@ -191,7 +191,7 @@ def test_direct_gain_does_not_depend_on_the_scale_of_P():
 
 
 def test_file_holds_it_and_proves_it_again(tmp_path):
-    found = design(arm(integral="direct"), 0.5, 0.3)
+    found = synthesize(arm(integral="direct"), 0.5, 0.3)
     found.save(tmp_path / "arm.json")
     again = Design.load(tmp_path / "arm.json")
     assert found.integral is not None
@@ -239,7 +239,7 @@ def test_degree_is_chosen_for_it():
 )
 def test_what_has_no_integral_action_is_refused(integral, mu, message):
     with pytest.raises(UserError, match=message):
-        design(arm(integral=integral), mu, 0.3)
+        synthesize(arm(integral=integral), mu, 0.3)
 
 
 def test_gains_without_a_proof_are_refused():

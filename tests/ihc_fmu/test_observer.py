@@ -10,10 +10,11 @@ from scipy.linalg import solve_continuous_are
 
 from fmu_export.errors import UserError
 from ihc_fmu.block_form import Scaling, block_form
-from ihc_fmu.controller import Controller, design, regulator_of
+from ihc_fmu.controller import Controller, regulator_of
 from ihc_fmu.observer import homogeneous_observer, least_degree
 from ihc_fmu.regulator.interface import Shape, numbered
 from ihc_fmu.regulator.start_values import Observer, Regulator
+from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import ObserverWish, System, from_dict
 from tests.ihc_fmu.regulator.conftest import H, both, names, row, whole  # noqa: F401 - fixtures
 from tests.ihc_fmu.regulator.test_closed_loop import ARM
@@ -80,7 +81,7 @@ def arm(observer, **changes):
 
 
 def observer_of(wish, **changes) -> Any:
-    return homogeneous_observer(design(arm(ObserverWish(**wish), **changes), 1.0, 0.3))
+    return homogeneous_observer(synthesize(arm(ObserverWish(**wish), **changes), 1.0, 0.3))
 
 
 def gain_at(o, q):
@@ -125,7 +126,7 @@ def test_without_a_gain_it_has_that_of_the_kalman_filter():
 
 @pytest.mark.parametrize("wish", [{"L": GAIN}, {}, {"Q": [1.0, 1.0, 500.0, 500.0], "R": [1e-4, 1e-4]}])
 def test_estimate_converges_and_the_law_with_it(wish):
-    found = design(arm(ObserverWish(**wish), resolutions=[0.0, 0.0]), 1.0, 0.3)
+    found = synthesize(arm(ObserverWish(**wish), resolutions=[0.0, 0.0]), 1.0, 0.3)
     controller = Controller(found, a_min=0.3)
     F, G = discrete(ARM)
     x = np.array([0.02, -0.01, 0.05, 0.0])
@@ -139,7 +140,7 @@ def test_small_errors_vanish_sooner_than_with_the_linear_observer():
     F, G = discrete(ARM)
 
     def error(nu):
-        controller = Controller(design(arm(ObserverWish(L=GAIN, nu=nu, q_min=1e-5, q_max=0.05)), 1.0, 0.3))
+        controller = Controller(synthesize(arm(ObserverWish(L=GAIN, nu=nu, q_min=1e-5, q_max=0.05)), 1.0, 0.3))
         x = np.array([0.02, -0.01, 0.05, 0.0])
         for _ in range(600):
             x = F @ x + G @ controller(x[:2])
@@ -150,7 +151,7 @@ def test_small_errors_vanish_sooner_than_with_the_linear_observer():
 
 
 def test_controller_with_it_shows_no_disturbance_estimates():
-    shown, hidden = regulator_of(design(arm(ObserverWish(L=GAIN)), 1.0, 0.3)).exported()
+    shown, hidden = regulator_of(synthesize(arm(ObserverWish(L=GAIN)), 1.0, 0.3)).exported()
     assert "shoulder_rate_estimate" in shown.by_name
     assert not any("disturbance" in name for name in shown.by_name)
     assert hidden["estimator"] == 3
@@ -184,7 +185,7 @@ def test_what_makes_no_observer_is_refused(wish, message):
 
 
 def test_a_model_that_is_not_observable_is_refused():
-    found = design(arm(ObserverWish(), C=np.array([[0.0, 0.0, 1.0, 0.0]]), outputs=("rate",), A=np.diag([1.0, 1.0], -2)
+    found = synthesize(arm(ObserverWish(), C=np.array([[0.0, 0.0, 1.0, 0.0]]), outputs=("rate",), A=np.diag([1.0, 1.0], -2)
                        + np.diag([1.0, 1.0], 2)), 1.0, 0.3)  # fmt: skip
     with pytest.raises(UserError, match=r"needs outputs that tell all states, \(A, C\) observable"):
         homogeneous_observer(found)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from ihc_fmu.controller import design
 from ihc_fmu.observer import homogeneous_observer, remark
 from ihc_fmu.observer_proof import bernstein, prove
+from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import ObserverWish
 from tests.ihc_fmu.test_observer import GAIN, arm, gain_at
 
@@ -26,7 +26,7 @@ def test_values_of_a_polynomial_lie_within_its_bernstein_coefficients():
 @pytest.mark.parametrize("nu", [-0.05, -0.2])
 def test_errors_on_the_edge_of_what_is_proven_vanish_inside(nu):
     """e' = (A + S C) e from the edge of the ellipsoid: it is never left again, and its end is near 0."""
-    system_design = design(arm(ObserverWish(L=GAIN, nu=nu)), 1.0, 0.3)
+    system_design = synthesize(arm(ObserverWish(L=GAIN, nu=nu)), 1.0, 0.3)
     observer = homogeneous_observer(system_design)
     proof = prove(observer, system_design.extent)
     assert proof is not None
@@ -47,7 +47,9 @@ def test_errors_on_the_edge_of_what_is_proven_vanish_inside(nu):
 
 
 def test_what_is_not_proven_is_said():
-    nowhere = design(arm(ObserverWish(L=GAIN, nu=-0.49)), 1.0, 0.3)
+    nowhere = synthesize(arm(ObserverWish(L=GAIN, nu=-0.49)), 1.0, 0.3)
     assert prove(homogeneous_observer(nowhere), nowhere.extent) is None
     assert "no proof was found" in remark(nowhere)
-    assert "errors vanish within an ellipsoid that reaches to" in remark(design(arm(ObserverWish(L=GAIN)), 1.0, 0.3))
+    assert "errors vanish within an ellipsoid that reaches to" in remark(
+        synthesize(arm(ObserverWish(L=GAIN)), 1.0, 0.3)
+    )

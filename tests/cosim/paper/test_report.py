@@ -19,11 +19,11 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from cosim.export import export_units
 from cosim.paper import figures, report
 from cosim.paper.claims import Claim, Judge
 from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
+from cosim.pendulum_export import export_units
 from cosim.scenario import load_scenario, run_scenario
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.synthesis import Options, inverse_design

@@ -15,7 +15,7 @@ from ihc_fmu.pendulum.start_values import default_design
 EXPORT = """
 import hashlib, sys
 from pathlib import Path
-from cosim.export import export_units
+from cosim.pendulum_export import export_units
 from ihc_fmu.pendulum.start_values import default_design
 for file in export_units(default_design(), output=Path(sys.argv[1])):
     print(file.name, hashlib.sha256(file.read_bytes()).hexdigest())

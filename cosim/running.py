@@ -1,0 +1,164 @@
+"""From Python what the command line does: export a design's FMUs, run a scenario, compare the laws in it."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .pendulum_export import export_units
+from .scenario import Scenario, build_system, load_located, remarks, rest_remarks, run_scenario
+from .system_export import export_system
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
+    from .experiments import Comparison
+    from .results import Result
+
+PathLike = str | os.PathLike[str]
+
+
+def export(
+    design: Design, folder: PathLike = "fmus", changes: Mapping[str, Mapping[str, Any]] | None = None
+) -> list[Path]:
+    """Write the FMUs of a design, its controller and a plant, and both with their wires as an SSP file.
+
+    A design of the system `rotary_pendulum` gives the QUBE-Servo 2 and its controller with swing-up; any other gives
+    NAME_linear_plant.fmu, NAME_controller.fmu and NAME.ssp. Native FMUs, for which nothing is compiled.
+
+    Parameters
+    ----------
+    design
+        The certified design.
+    folder
+        Where the files are written to; other files there stay.
+    changes
+        Start values that differ, by unit ("plant", "controller") and name.
+
+    Returns
+    -------
+    list[Path]
+        The files: plant, controller, SSP.
+
+    Raises
+    ------
+    UserError
+        For what cannot be exported, such as a state that no measurement tells, or a start value outside its rule.
+
+    See Also
+    --------
+    cosim.system_export.export_system, cosim.pendulum_export.export_units : with platforms and Python FMUs.
+
+    """
+    from ihc_fmu.system import PENDULUM  # noqa: PLC0415 - heavy
+
+    if design.system.name == PENDULUM:
+        return export_units(design, output=Path(folder), changes=changes)
+    return export_system(design, Path(folder), changes)
+
+
+def run(scenario: PathLike | Scenario, changes: Mapping[str, Any] | None = None, fmus: PathLike = "fmus") -> Result:
+    """Run a scenario.
+
+    Parameters
+    ----------
+    scenario
+        A scenario's file (`*.toml`), an SSP file (`*.ssp`), the name of a built-in scenario, or a `Scenario`.
+    changes
+        Entries that differ, by the names of the reference, as `{"run.duration": 20.0, "plant.start.angle_0": 0.1}`.
+    fmus
+        Folder of the FMUs, where they are not beside the scenario; an SSP file brings its own.
+
+    Returns
+    -------
+    Result
+        Signals at the communication points, with units and metadata.
+
+    Raises
+    ------
+    UserError
+        For a scenario that cannot be run; nothing was run then.
+    SimulationError
+        Where an FMU fails; its `result` holds what was recorded until then.
+
+    Warns
+    -----
+    UserWarning
+        For what is to be known of the run: start values that no certificate covers, a plant at rest, and the like.
+
+    """
+    chosen, folder, place = _located(scenario, changes, fmus)
+    system = build_system(chosen, place, folder)
+    _warn(remarks(system, chosen))
+    result = run_scenario(chosen, place, folder)
+    _warn(rest_remarks(result, system))
+    return result
+
+
+def compare(
+    scenario: PathLike | Scenario,
+    laws: Sequence[str] | None = None,
+    changes: Mapping[str, Any] | None = None,
+    fmus: PathLike = "fmus",
+    draws: int = 128,
+    workers: int | None = None,
+) -> Comparison:
+    """Run a scenario with each law, all on the same draws of sensor offsets and noise.
+
+    Parameters
+    ----------
+    scenario, changes, fmus
+        As in `run`.
+    laws
+        Values of the controller's `law`; None: those of LC, SMC and IHC that it has.
+    draws
+        Draws of the plant's offsets and noise, best a power of two; 0: the scenario as it stands, once. A plant that has
+        neither is run once.
+    workers
+        Threads; None: one per core.
+
+    Returns
+    -------
+    Comparison
+        Metrics of all draws, and the whole result of a typical one for each law.
+
+    Raises
+    ------
+    UserError
+        For a scenario that cannot be run or judged, or a law that its controller does not have.
+    SimulationError
+        Where an FMU fails.
+
+    Warns
+    -----
+    UserWarning
+        As `run`.
+
+    """
+    from .experiments import LAWS, Study, laws_of  # noqa: PLC0415 - heavy
+    from .experiments import compare as compare_studies  # noqa: PLC0415
+
+    chosen, folder, place = _located(scenario, changes, fmus)
+    if laws is None:
+        laws = [law for law in laws_of(chosen, place, folder) if law in LAWS]
+    _warn(remarks(build_system(chosen, place, folder), chosen))
+    (found,) = compare_studies([Study(chosen, folder, draws)], place, laws, workers)
+    return found
+
+
+def _located(
+    scenario: PathLike | Scenario, changes: Mapping[str, Any] | None, fmus: PathLike
+) -> tuple[Scenario, Path, Path]:
+    """Return the scenario with its changes, its folder and the folder of its FMUs."""
+    if isinstance(scenario, Scenario):
+        return scenario.changed(changes or {}), Path(), Path(fmus)
+    chosen, folder, place = load_located(os.fspath(scenario), Path(fmus))
+    return chosen.changed(changes or {}), folder, place
+
+
+def _warn(sentences: Sequence[str]) -> None:
+    for sentence in sentences:
+        warnings.warn(sentence, UserWarning, stacklevel=3)

@@ -1,0 +1,74 @@
+"""The public names: where they come from, what they cost, and from a linear controller to a picture."""
+
+import ast
+import importlib
+import subprocess
+import sys
+import warnings
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cosim
+import ihc_fmu
+
+A, B, K = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[-8.0, -4.0]])
+
+PACKAGES = pytest.mark.parametrize("package", [ihc_fmu, cosim], ids=lambda p: p.__name__)
+
+
+def for_types(package):
+    """The names that a package imports for type checkers, with their modules."""
+    tree = ast.parse(Path(package.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    for node in block.body:
+        if isinstance(node, ast.ImportFrom):
+            module = f"{package.__name__}.{node.module}" if node.level else node.module
+            yield from ((alias.name, module) for alias in node.names)
+
+
+@PACKAGES
+def test_public_names_are_those_that_type_checkers_see(package):
+    homes = {name: module for module, names in package._HOMES.items() for name in names}
+    assert dict(for_types(package)) == homes
+    assert sorted(set(package.__all__) - {"__version__"}) == sorted(homes)
+    assert set(package.__all__) <= set(dir(package))
+    for name, module in homes.items():
+        assert getattr(package, name) is getattr(importlib.import_module(module), name)
+    with pytest.raises(AttributeError, match="has no attribute 'systme'"):
+        _ = package.systme
+
+
+def test_the_version_is_the_distributions():
+    assert ihc_fmu.__version__ == version("qube-ihc")
+
+
+def test_importing_the_packages_loads_no_library():
+    code = "import sys, ihc_fmu, cosim; print({'numpy', 'cvxpy', 'fmpy', 'matplotlib'} & sys.modules.keys())"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
+
+
+def test_from_a_linear_controller_to_a_picture(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    system = ihc_fmu.System(A=A, B=B, K=K, name="arm", sample_time=1e-3)
+    design = ihc_fmu.synthesize(system)
+    files = cosim.export(design, "fmus")
+    result = cosim.run("fmus/arm.ssp", {"plant.start.x1_0": 0.1, "run.duration": 2.0})
+    comparison = cosim.compare("fmus/arm.ssp", changes={"plant.start.x1_0": 0.1, "run.duration": 2.0})
+    assert [file.name for file in files] == ["arm_linear_plant.fmu", "arm_controller.fmu", "arm.ssp"]
+    assert len(result.plot().axes) > 1
+    assert set(comparison.results) == {"LC", "IHC"}
+    np.testing.assert_array_equal(comparison.results["IHC"]["plant.x1"], result["plant.x1"])
+
+
+def test_what_is_to_be_known_of_a_run_is_a_warning(tmp_path):
+    system = ihc_fmu.System(A=A, B=B, K=K, name="arm", sample_time=1e-3)
+    cosim.export(ihc_fmu.synthesize(system), tmp_path)
+    with pytest.warns(UserWarning, match="nothing moved: all was at rest where it began") as caught:
+        cosim.run(tmp_path / "arm.ssp", {"run.duration": 0.1})
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        cosim.run(tmp_path / "arm.ssp", {"run.duration": 0.1, "plant.start.x1_0": 0.1})
