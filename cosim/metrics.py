@@ -89,16 +89,30 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Metrics:
-    """What a comparison shows, by names: numbers, and what they mean. |e| is the norm of the errors of one group.
+    """What a run is judged by, as numbers with names; each is an attribute too. |e| is the norm of the errors of one group.
 
-    settling_time [s]: |e| stays within the tolerance from then on; NaN where it does not. integral_e2: integral of |e|^2
-    over the run. steady_rms: RMS of |e| over the window, the last seconds. steady_trend [1]: how many times it falls from
-    the window's first half to its second; exactly 1 where it is steady (`trend`), NaN where that cannot be said. energy:
-    integral of the sum of u^2. peak: largest |u|. control_variation: total variation of the controls per second over the
-    window, the measure of chattering; NaN where the result does not have every row. Where the controller first brings the
-    plant to where the law can act, capture_time [s]: the stabilizing law first acts, NaN where it never does; captures: how
-    often it took over. Of the pendulum integral_q2, peak_voltage and voltage_variation are the names. Each number is an
-    attribute too.
+    ==================== ==============================================================================================
+    `settling_time` [s]  from when on |e| stays within the tolerance; NaN where it does not
+    `integral_e2`        integral of abs(e)^2 over the run
+    `steady_rms`         RMS of |e| over the window, the last seconds
+    `steady_trend` [1]   how many times it falls from the window's first half to its second; exactly 1 where it is steady,
+                         NaN where that cannot be said
+    `energy`             integral of the sum of u^2
+    `peak`               largest |u|
+    `control_variation`  total variation of the controls per second over the window, the measure of chattering; NaN where
+                         the result does not have every row
+    `capture_time` [s]   where the controller first brings the plant to where the law can act: when the law first acts
+    `captures`           how often it took over
+    ==================== ==============================================================================================
+
+    Of the pendulum `integral_q2`, `peak_voltage` and `voltage_variation` are the names.
+
+    Parameters
+    ----------
+    values
+        The numbers by name.
+    quantities
+        What they mean: symbol, unit, role.
     """
 
     values: Mapping[str, float]
@@ -116,7 +130,13 @@ class Metrics:
         return all(self.values[q.name] == 1.0 for q in self.quantities.values() if q.role == "trend")
 
     def as_dict(self) -> dict[str, float]:
-        """Return the numbers by name; NaN as None's JSON-safe stand-in is left to the caller."""
+        """Return the numbers by name, NaN for those that are not there.
+
+        Returns
+        -------
+        dict[str, float]
+            A copy of `values`.
+        """
         return dict(self.values)
 
 
@@ -416,10 +436,29 @@ def has_every_row(result: Recording) -> bool:
 
 
 def evaluate(result: Recording, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
-    """Return the metrics of `result`; `tolerance` of |e| (None: the result's own) defines settling, `steady` [s] the window.
+    """Judge a result by its errors and controls.
 
     Integrals are sums over the steps: |e|^2 by the trapezoidal rule, u^2 exactly, since the control of a row was held
-    over the step that ended there. Raises UserError for a result without the signals or with fewer than two rows.
+    over the step that ended there.
+
+    Parameters
+    ----------
+    result
+        A run or a measurement; its metadata say what is judged (`evaluation`).
+    tolerance
+        Within which |e| is settled, in its unit; None: the result's own, else 2 % of the largest |e|.
+    steady
+        Length of the window at the end [s].
+
+    Returns
+    -------
+    Metrics
+        The numbers and what they mean.
+
+    Raises
+    ------
+    UserError
+        For a result without the signals, or with fewer than two rows.
     """
     if len(result.time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(result.time)}")

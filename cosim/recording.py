@@ -19,9 +19,19 @@ Array = np.ndarray
 class Recording:
     """Signals at communication points.
 
-    time [s] of shape (rows,); signals by name `instance.variable`, each of shape (rows,), float64 or int64; units by
-    the same names; metadata as JSON types. A row holds every output at its time; with the order controller-first the
-    voltage of a row is the one that was applied over the step that ended there, with parallel the one of the next step.
+    A row holds every output at its time. With the order `controller-first` the control of a row is the one that was applied
+    over the step that ended there, with `parallel` it is the one of the next step. `recording["plant.theta"]` is a signal.
+
+    Parameters
+    ----------
+    time
+        Communication points [s], shape (rows,).
+    signals
+        Signals by name `instance.variable`, each of shape (rows,), float64 or int64.
+    units
+        Their units by the same names, "1" for none.
+    metadata
+        How it came about, in JSON types: scenario, FMUs, start values, wires, versions, messages.
     """
 
     time: Array
@@ -36,9 +46,17 @@ class Recording:
             raise UserError(f"the result has no signal {name!r}; it has {', '.join(self.signals)}") from None
 
     def to_dataframe(self) -> pandas.DataFrame:
-        """Return the table with the time [s] as its index and a column for each signal; `attrs` has units and metadata.
+        """Return the table as a pandas data frame.
 
-        Raises UserError where pandas is not installed.
+        Returns
+        -------
+        pandas.DataFrame
+            The time [s] as its index, a column for each signal; `attrs` has `units` and `metadata`.
+
+        Raises
+        ------
+        UserError
+            Where pandas is not installed.
         """
         try:
             import pandas  # noqa: PLC0415 - optional
