@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from cosim.designing import Wish, beyond_limits, find, remarks
+from cosim.designing import Wish, beyond_limits, find, prospect, remarks
 from cosim.errors import UserError
 from ihc_fmu.synthesis import degrees, largest_alpha
 from ihc_fmu.system import System
@@ -23,6 +23,17 @@ def test_without_mu_the_largest_feasible_alpha_is_the_best_of_those_tried():
     assert float(said[2]) == best
     assert float(said[1]) == pytest.approx(found[best], rel=1e-3)
     assert found[best] > 1.1 * found[1.0]
+
+
+def test_the_largest_feasible_alpha_is_that_of_the_options_given():
+    system = System(A=np.array([[0.0, 1.0], [0.0, 0.0]]), B=np.array([[0.0], [1.0]]), K=np.array([[-1.0, -2.0]]))
+    said = []
+    for d_max in (0.0, 0.2):
+        design, choice = find(system, Wish(u_max="0.3", d_max=d_max), lambda _: None)
+        said.append(prospect(design, choice.options, False, lambda _: None))
+        assert float(said[-1].split()[-2]) == pytest.approx(2 * design.alpha, rel=0.02)
+    assert said[0] == "largest feasible alpha for this gain and mu: 0.2929 1/s"
+    assert said[1].startswith("largest feasible alpha for this gain, mu, d_max and scale: 0.03")
 
 
 def test_a_system_that_no_fmu_takes_is_noted():
