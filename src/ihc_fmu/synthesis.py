@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, permutations
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -130,7 +130,7 @@ def _rate(system: System, options: Options, bounds: Array) -> float:
 
 def _closed_form(system: System, options: Options, rate: float, bounds: Array) -> Problem:
     """Return the nilpotent system where y' y <= 1 is the unit ball of the direct design in closed form, alpha = `rate`."""
-    form = _normal(system.form, rate)
+    form = system.form.normal(rate)
     problem = _problem(form, form.N / rate, options.beta)
     B = form.Bz / rate * bounds
     F = problem.closed + DIRECT_MARGIN * np.diag(form.weights(options.mu))
@@ -197,14 +197,6 @@ def _order(system: System, order: Array, law: str) -> str:
     return f"; K seems to be in the order ({names}){law}, unlike A"
 
 
-def _normal(form: BlockForm, omega: float) -> BlockForm:
-    """Return the form with blocks scaled so that N has blocks of norm omega."""
-    factors = [1.0]
-    for here, following in reversed(list(pairwise(form.blocks))):
-        factors.insert(0, factors[0] * omega / float(np.linalg.norm(form.N[here, following], 2)))
-    return form.scaled(factors)
-
-
 def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
     """Return the inequalities of an inverse design, and omega [1/s], in which its time is scaled.
 
@@ -214,7 +206,7 @@ def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
     form = system.form
     closed = form.T @ (system.A + system.B @ system.K) @ form.T_inverse
     omega = float(np.exp(np.linalg.slogdet(closed)[1] / system.n))
-    form = _normal(form, omega)
+    form = form.normal(omega)
     closed = form.T @ (system.A + system.B @ system.K) @ form.T_inverse / omega
     slowest = float(np.linalg.eigvals(closed).real.max()) * omega
     if slowest >= 0.0:

@@ -176,7 +176,7 @@ def test_requests_that_no_design_can_meet_are_refused(paper):
         inverse_design(system(A, b, k_lin[:3]))
     with pytest.raises(ValueError, match=r"one of 0\.\.3, found 4"):
         inverse_design(system(A, b, k_lin), Options(delta_max=0.1, index=4))
-    with pytest.raises(ValueError, match=r"^u_max must be a number, found 2$"):
+    with pytest.raises(ValueError, match=r"^u_max must be a number, or one for each input, found 2 for 1 input$"):
         inverse_design(system(A, b, k_lin), Options(u_max=[1.0, 2.0]))
     for limit in (1e-12, 1e308):
         given = system(A, b, k_lin).changed(lower=[-limit], upper=[limit])
@@ -265,7 +265,7 @@ def test_bound_of_each_input_is_kept(rotorcraft_like):
     design = inverse_design(rotorcraft_like, Options(alpha=0.05, u_max=bounds.tolist()))
     assert (design.u_max <= bounds * (1 + 1e-6)).all()
     assert (design.u_max / bounds).max() == pytest.approx(1.0, rel=1e-3)
-    with pytest.raises(UserError, match="u_max must be a number or 2 numbers, one for each input, found 3"):
+    with pytest.raises(UserError, match="u_max must be a number, or one for each input, found 3 for 2 inputs"):
         inverse_design(rotorcraft_like, Options(u_max=[1.0, 2.0, 3.0]))
 
 
