@@ -14,7 +14,6 @@ from ihc_fmu.design import Design
 from ihc_fmu.integral import largest_mu
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.regulator.interface import INPUTS, OUTPUTS, STATES
 from ihc_fmu.synthesis import (
     SHARE_OF_LIMIT,
     Choice,
@@ -26,8 +25,9 @@ from ihc_fmu.synthesis import (
     largest_alpha,
     largest_alpha_of,
 )
-from ihc_fmu.system import System
+from ihc_fmu.system import PENDULUM, System
 
+from . import export, system_export
 from .errors import UserError
 
 Say = Callable[[str], object]
@@ -83,12 +83,14 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, Choice]:
         raise _explained(system, wish, error, say) from None
 
 
-def remarks(system: System) -> list[str]:
-    """Return what the user should know before a design: that no FMU takes a system of this size."""
-    sizes = ((system.n, STATES, "states"), (system.m, INPUTS, "inputs"), (system.p, OUTPUTS, "outputs"))
-    found = ", ".join(f"{count} {what}" for count, most, what in sizes if count > most)
-    rule = f"the FMUs take up to {STATES} states, {INPUTS} inputs and {OUTPUTS} outputs"
-    return [f"{rule}, found {found}: this design cannot be exported"] if found else []
+def unexportable(design: Design) -> list[str]:
+    """Return the sentence with which `export` will refuse a design, found by its own checks; nothing where it will not."""
+    check = export.check_exportable if design.system.name == PENDULUM else system_export.check_exportable
+    try:
+        check(design)
+    except UserError as error:
+        return [f"export will refuse this: {error}"]
+    return []
 
 
 def beyond_limits(design: Design) -> list[str]:
