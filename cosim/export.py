@@ -11,6 +11,7 @@ from .errors import UserError
 from .pendulum_files import PENDULUM_FMUS
 
 if TYPE_CHECKING:
+    from fmu_export.files import FilePath
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
     from fmu_export.variables import Interface, Value
@@ -39,7 +40,7 @@ def export_units(
     design: Design,
     parameters: str = "ident",
     nominal: str = "ident",
-    output: Path = Path("fmus"),
+    output: FilePath = "fmus",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     smc: Smc = Smc.fitted,
     kind: Kind = Kind.native,
@@ -95,9 +96,9 @@ def export_units(
     problem = misfit(plans[1][2], plans[0][2])
     if problem is not None and not other_model:
         raise UserError(f"{problem}; --other-model exports them all the same")
-    with staging(output) as place:
+    with staging(Path(output)) as place:
         names = [path.name for path in _export(plans, kept, wires, place, kind, platforms, building)]
-    return [output / name for name in names]
+    return [Path(output) / name for name in names]
 
 
 def _export(

@@ -19,6 +19,8 @@ from typing import Any
 
 import numpy as np
 
+from fmu_export.files import FilePath
+
 from .derivative_checks import largest
 from .derivatives import EvaluationError, finite, least_steps, solve
 from .errors import UserError
@@ -40,7 +42,7 @@ ROUNDING = 1e-11
 
 
 def linear_model(
-    path: Path,
+    path: FilePath,
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
     *,
@@ -62,7 +64,7 @@ def linear_model(
     Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle,
     and for an FMU that does not say enough; FmuError where it fails at its start values.
     """
-    plant = open_plant(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
+    plant = open_plant(Path(path), tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal
     with closing(plant), deferred_interrupt() as plant.interrupt, quiet:
         z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))

@@ -11,6 +11,7 @@ from string import Template
 from filing.files import staging
 from filing.origin import WRITTEN
 from fmu_export.errors import shown
+from fmu_export.files import FilePath
 
 from .errors import UserError
 from .names import is_plain
@@ -22,13 +23,14 @@ FILES = {"{name}.py": "plant.py.txt", "{name}.toml": "system.toml.txt", "{name}_
 LONGEST = 40
 
 
-def new(name: str, folder: Path) -> list[Path]:
+def new(name: str, folder: FilePath) -> list[Path]:
     """Write the files of the plant `name` to `folder` and return their paths.
 
     Raises UserError for a name that cannot be that of a Python module and of a C function, and where one of the files is
     there already, whoever wrote it.
     """
     _check_name(name)
+    folder = Path(folder)
     paths = {folder / file.format(name=name): TEMPLATES / template for file, template in FILES.items()}
     for path in paths:
         if path.exists() or path.is_symlink():

@@ -15,6 +15,7 @@ from matplotlib.patches import Patch
 
 from filing.files import write_file
 from filing.origin import SOFTWARE
+from fmu_export.files import FilePath
 from ihc_fmu.pendulum.interface import LAWS
 
 from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
@@ -95,7 +96,7 @@ PICTURES = {
 COMPARISON = tuple(dict.fromkeys(name for names in PICTURES.values() for name in names))
 
 
-def save_comparison(results: Mapping[str, Recording], folder: Path, title: str) -> list[Path]:
+def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: str) -> list[Path]:
     """Write pictures to `folder`, one curve per entry of `results`: what is judged, its norm, controls, homogeneous norm.
 
     They are angles.png, norm.png, voltage.png and homogeneous_norm.png for the pendulum, and signals.png and controls.png
@@ -113,7 +114,7 @@ def save_comparison(results: Mapping[str, Recording], folder: Path, title: str) 
         figures.append(_logarithmic(results, [homogeneous]))
     names = PICTURES[about.kind]
     return [
-        save_figure(figure, folder / f"{name}.png", title)
+        save_figure(figure, Path(folder) / f"{name}.png", title)
         for name, figure in zip(names, figures, strict=False)
         if figure is not None
     ]
@@ -126,7 +127,7 @@ def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
     )
 
 
-def save_overview(result: Recording, path: Path, title: str) -> Path:
+def save_overview(result: Recording, path: FilePath, title: str) -> Path:
     """Write the overview of a single result as a picture."""
     return save_figure(overview(result), path, title)
 
@@ -199,8 +200,9 @@ def positive(axis: Any, time: np.ndarray, signal: np.ndarray, colour: str, label
         axis.annotate("▾ 0", (0.005, 0.06), xycoords="axes fraction", fontsize="x-small", color="0.3")
 
 
-def save_figure(figure: Figure, path: Path, title: str) -> Path:
+def save_figure(figure: Figure, path: FilePath, title: str) -> Path:
     """Write a PNG, the same bytes for the same figure; beside `path` first, then renamed."""
+    path = Path(path)
     figure.suptitle(literal(title), fontsize="medium")
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .export import Kind, kept_outputs
 
 if TYPE_CHECKING:
+    from fmu_export.files import FilePath
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
     from fmu_export.variables import Interface
@@ -69,7 +70,7 @@ class _Plan:
 
 def export_system(
     design: Design,
-    output: Path = Path("fmus"),
+    output: FilePath = "fmus",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
@@ -111,9 +112,9 @@ def export_system(
         _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0], {}),
         _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1], inside),
     )
-    with staging(output) as place:
+    with staging(Path(output)) as place:
         for plan, stay, name in zip(plans, kept, names, strict=False):
             plan.write(place / name, stay, kind, platforms, building)
         units = {"controller": place / names[1], "plant": place / names[0]}
         write_ssp(place / names[2], system.name, units, wires, origin())
-    return [output / name for name in names]
+    return [Path(output) / name for name in names]
