@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import re
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 
@@ -48,6 +49,12 @@ def class_name(name: str) -> str:
     return "".join(part[:1].upper() + part[1:] for part in name.split("_"))
 
 
+def _is_installed(name: str) -> bool:
+    """Return whether Python finds a module of that name, which it would take for the plant's, outside the current folder."""
+    spec = find_spec(name)
+    return spec is not None and spec.origin is not None and Path.cwd() not in Path(spec.origin).parents[:2]
+
+
 def _check_name(name: str) -> None:
     """Raise UserError for a name that is no identifier, or that Python would take for another module."""
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) or len(name) > LONGEST:
@@ -55,5 +62,5 @@ def _check_name(name: str) -> None:
             f"the name must be at most {LONGEST} letters, digits and underscores, a letter first, found {shown(name)}"
         )
     taken = keyword.iskeyword(name) or name.lower() in sys.stdlib_module_names or name.lower() == "pythonfmu"
-    if taken or not is_plain(name) or class_name(name) in ("Fmi2Slave", "Fmi2Causality", "Fmi2Variability", "Real"):
+    if taken or _is_installed(name) or not is_plain(name) or class_name(name) in ("Fmi2Slave", "Fmi2Causality", "Fmi2Variability", "Real"):
         raise UserError(f"the name must not be one that Python has already, found {shown(name)}")

@@ -392,7 +392,9 @@ class _Plan:
 
     def wires(self) -> tuple[Wire, ...]:
         if self.scenario.wires is not None:
-            return tuple(section.wire() for section in self.scenario.wires)
+            listed = tuple(section.wire() for section in self.scenario.wires)
+            wiring.check_ends(listed, self.variables)
+            return listed
         if not {CONTROLLER, PLANT} <= self.paths.keys():
             return ()
         if self.swings and self.balances:

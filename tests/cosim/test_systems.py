@@ -240,6 +240,21 @@ def test_a_wrong_entry_is_named(scenario, text, problem):
         scenario(text)
 
 
+@pytest.mark.parametrize(
+    ("wires", "problem"),
+    [
+        ("controller.forse -> plant.force", r"controller\.forse, which is no output; did you mean force\?$"),
+        ("controller.position -> plant.force", r"controller\.position, which is no output"),
+        ("controller.force -> plant.forse", r"plant\.forse, which is no input; did you mean force\?$"),
+        ("controler.force -> plant.force", r"controler\.force, which is no component's variable; did you mean cont.*"),
+    ],
+)
+def test_a_wrong_end_of_a_wire_is_said_of_the_wire(units, scenario, wires, problem):
+    chosen, folder = scenario(f'wires = ["{wires}"]\n{CART_SCENARIO}')
+    with pytest.raises(UserError, match=rf"^the wire {wires} (begins|ends) at {problem}"):
+        run_scenario(chosen, units, folder)
+
+
 def test_what_feeds_nothing_or_is_fed_by_nothing_is_refused(units, scenario):
     base = 'plant.fmu = "cart.fmu"\ncontroller.fmu = "unlike.fmu"\nrun.duration = 0.1'
     with pytest.raises(
