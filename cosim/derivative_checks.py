@@ -78,6 +78,5 @@ def check_contradiction(
         hints = () if J[i].any() else counted or ["so it is of a sensor that counts, whose resolution --set turns off"]
         raise UserError(
             f"the FMU contradicts itself: its directional derivative of {rows[i]} by {columns[j]} is {J[i, j]:.6g}, "
-            f"differences give {found.J[i, j]:.6g}"
-            + "".join(f"; {text}" for text in hints)
+            f"differences give {found.J[i, j]:.6g}" + "".join(f"; {text}" for text in hints)
         )

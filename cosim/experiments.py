@@ -24,7 +24,17 @@ from .campaign import Job, run_all
 from .draws import PENDULUM, Chance, Estimate, chance_of, change, drawn, mean, rms_change, root_mean_square
 from .fmu import Instance
 from .master import Coupling
-from .metrics import WINDOW, Metrics, Quantity, evaluate, is_pendulum, kept_upright, measure_of, missing_signals
+from .metrics import (
+    WINDOW,
+    Metrics,
+    Quantity,
+    evaluate,
+    is_pendulum,
+    kept_upright,
+    measure_of,
+    missing_signals,
+    overflow,
+)
 from .names import is_plain
 from .results import Result
 from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario, with_tolerances
@@ -158,6 +168,8 @@ class Comparison:
             said.append(
                 "nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all"
             )
+        beyond = {law: overflow(result) for law, result in self.results.items()}
+        said += [f"{law}: {text}" for law, text in beyond.items() if text]
         late = {law: self.unsettled(law) for law in laws}
         if self.count > 1 and any(late.values()):
             several = ", ".join(f"{law} {n}" for law, n in late.items())

@@ -62,5 +62,10 @@ def _check_name(name: str) -> None:
             f"the name must be at most {LONGEST} letters, digits and underscores, a letter first, found {shown(name)}"
         )
     taken = keyword.iskeyword(name) or name.lower() in sys.stdlib_module_names or name.lower() == "pythonfmu"
-    if taken or _is_installed(name) or not is_plain(name) or class_name(name) in ("Fmi2Slave", "Fmi2Causality", "Fmi2Variability", "Real"):
+    if (
+        taken
+        or _is_installed(name)
+        or not is_plain(name)
+        or class_name(name) in ("Fmi2Slave", "Fmi2Causality", "Fmi2Variability", "Real")
+    ):
         raise UserError(f"the name must not be one that Python has already, found {shown(name)}")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,8 @@ PICTURES = {
     "general": ("signals", "norm", "controls", "homogeneous_norm"),
 }
 """The pictures of `save_comparison`, by the kind of the system."""
+LARGEST = 1e150
+"""Magnitude of what is drawn."""
 COMPARISON = tuple(dict.fromkeys(name for names in PICTURES.values() for name in names))
 
 
@@ -102,7 +105,7 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
     They are angles.png, norm.png, voltage.png and homogeneous_norm.png for the pendulum, and signals.png and controls.png
     for other systems; the last only where all results have one.
     """
-    results = {literal(name): result for name, result in results.items()}
+    results = {literal(name): _within_range(result) for name, result in results.items()}
     about = evaluation_in(next(iter(results.values())))
     norms = [
         (norm_label(about, suffix), lambda result, group=group: error_norm(result, about, group))
@@ -120,6 +123,17 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
     ]
 
 
+def _within_range(result: Recording) -> Recording:
+    """Return the result with gaps where real numbers are beyond LARGEST, which Matplotlib cannot scale."""
+    return replace(
+        result,
+        signals={
+            name: np.where(np.abs(s) < LARGEST, s, np.nan) if s.dtype == np.float64 else s
+            for name, s in result.signals.items()
+        },
+    )
+
+
 def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
     """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
     return about.norm is not None and (
@@ -134,6 +148,7 @@ def save_overview(result: Recording, path: FilePath, title: str) -> Path:
 
 def overview(result: Recording) -> Figure:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
+    result = _within_range(result)
     about = evaluation_in(result)
     has_norm = _has_norm(about, [result])
     groups = about.error_groups if len(about.errors) > 1 else {}
@@ -206,7 +221,8 @@ def save_figure(figure: Figure, path: FilePath, title: str) -> Path:
     figure.suptitle(literal(title), fontsize="medium")
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
+    with np.errstate(all="ignore"):  # a run that left the range of numbers
+        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
     write_file(path, buffer.getvalue())
     return path
 
