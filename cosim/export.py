@@ -11,6 +11,7 @@ from .errors import UserError
 from .pendulum_files import PENDULUM_FMUS
 
 if TYPE_CHECKING:
+    from fmu_export.files import FilePath
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
     from fmu_export.variables import Interface, Value
@@ -41,7 +42,7 @@ def export_units(
     design: Design,
     parameters: str = "ident",
     nominal: str = "ident",
-    output: Path = Path("fmus"),
+    output: FilePath = "fmus",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     smc: Smc = Smc.fitted,
     kind: Kind = Kind.native,
@@ -64,9 +65,9 @@ def export_units(
     from filing.files import staging
 
     plans, kept, wires = _planned(design, parameters, nominal, changes or {}, smc, outputs, other_model=other_model)
-    with staging(output) as place:
+    with staging(Path(output)) as place:
         names = [path.name for path in _export(plans, kept, wires, place, kind, platforms, building)]
-    return [output / name for name in names]
+    return [Path(output) / name for name in names]
 
 
 def check_exportable(design: Design) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .export import Kind, kept_outputs
 
 if TYPE_CHECKING:
+    from fmu_export.files import FilePath
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
     from fmu_export.variables import Interface
@@ -76,7 +77,7 @@ class _Plan:
 
 def export_system(
     design: Design,
-    output: Path = Path("fmus"),
+    output: FilePath = "fmus",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
@@ -97,12 +98,12 @@ def export_system(
 
     system, names = design.system, exported_files(design.system)
     plans, kept = _planned(design, changes, outputs)
-    with staging(output) as place:
+    with staging(Path(output)) as place:
         for plan, stay, name in zip(plans, kept, names, strict=False):
             plan.write(place / name, stay, kind, platforms, building)
         units = {"controller": place / names[1], "plant": place / names[0]}
         write_ssp(place / names[2], system.name, units, wires_of(system), origin())
-    return [output / name for name in names]
+    return [Path(output) / name for name in names]
 
 
 def check_exportable(design: Design) -> None:

@@ -210,11 +210,15 @@ def change_text(estimate: Estimate) -> str:
     shown = f"× {1.0 + value:.3g}" if value > 9.0 else f"{100.0 * value:+.3g}"
     if math.isnan(half):
         return shown + unit
-    digits = min(3, decimals(factor * max(half, 1e-9)))
+    if factor * half < LEAST_INTERVAL:
+        return f"{shown}{unit} {VERDICTS[estimate.decided]}"
+    digits = min(3, decimals(factor * half))
     shown = f"× {1.0 + value:.{digits}f}" if value > 9.0 else f"{100.0 * value:+.{digits}f}"
     return f"{shown} ± {factor * half:.{digits}f}{unit} {VERDICTS[estimate.decided]}"
 
 
+LEAST_INTERVAL = 5e-4
+"""Half width of a change's interval, in percent or of a factor, below which none is shown: draws that are all alike."""
 VERDICTS = {1: "worse", 0: "open", -1: "better"}
 """What the sign of a decided change means."""
 

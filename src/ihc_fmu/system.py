@@ -22,6 +22,7 @@ import numpy as np
 from filing.files import write_file
 from filing.origin import WRITTEN
 from fmu_export.errors import UserError, counted, shown
+from fmu_export.files import FilePath
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 
@@ -409,8 +410,9 @@ class System:
         return cls(**{**given, **rest})
 
     @classmethod
-    def load(cls, path: Path) -> System:
+    def load(cls, path: FilePath) -> System:
         """Return the system of a TOML file; errors name the file."""
+        path = Path(path)
         data = read_toml(path, "system")
         try:
             return from_dict({"name": re.sub(r"\W|^(?=\d)", "_", path.stem, flags=re.ASCII) or "system", **data})
@@ -466,9 +468,9 @@ class System:
         text = tomli_w.dumps({"name": rest.pop("name")}) + "".join(rows.values()) + tomli_w.dumps(rest)
         return "\n".join(head) + "\n" + text
 
-    def save(self, path: Path, comment: str = "") -> None:
+    def save(self, path: FilePath, comment: str = "") -> None:
         """Write the TOML file, whole or not at all; raise UserError where it cannot be written."""
-        write_file(path, self.to_toml(comment))
+        write_file(Path(path), self.to_toml(comment))
 
 
 _OF_OUTPUTS = ("outputs", "set_points", "biases")

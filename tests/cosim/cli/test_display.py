@@ -98,6 +98,7 @@ def test_a_mean_has_the_digits_that_its_interval_leaves(value, half, text):
         (0.645, 0.002, "+64.5 ± 0.2 % worse"),
         (25.94, 0.48, "× 26.9 ± 0.5 worse"),
         (0.0, 0.0, "equal"),
+        (-0.71562, 1e-17, "-71.6 % better"),
         (-0.58, math.nan, "-58 %"),
         (math.nan, math.nan, "–"),
     ],
