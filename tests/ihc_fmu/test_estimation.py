@@ -111,8 +111,8 @@ def test_state_that_cannot_be_observed_is_refused_by_name():
 
 def test_a_count_that_moves_a_command_by_much_is_said_with_what_lessens_it():
     A, B, C, K = np.array([[0, 1], [0, -1.0]]), np.array([[0], [1.0]]), np.array([[1.0, 0]]), np.array([[-100.0, -20]])
-    limits = {"lower": np.array([-1.0]), "upper": np.array([1.0])}
-    system = System(A=A, B=B, C=C, K=K, resolutions=np.array([1.0]), **limits)
+    low, high = np.array([-1.0]), np.array([1.0])
+    system = System(A=A, B=B, C=C, K=K, resolutions=np.array([1.0]), lower=low, upper=high)
     (said,) = remarks(inverse_design(system, chosen_options(system).options))
     assert said.startswith("a count of a sensor, or three deviations, moves a command by 215 % of its room")
     assert all(entry in said for entry in ("`bandwidth`", "`K`", "`lqr`", "`resolutions`"))
