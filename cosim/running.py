@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fmu_export.files import FilePath
+
 from .pendulum_export import export_units
 from .scenario import Scenario, build_system, load_located, remarks, rest_remarks, run_scenario
 from .system_export import export_system
@@ -18,11 +20,9 @@ if TYPE_CHECKING:
     from .experiments import Comparison
     from .results import Result
 
-PathLike = str | os.PathLike[str]
-
 
 def export(
-    design: Design, folder: PathLike = "fmus", changes: Mapping[str, Mapping[str, Any]] | None = None
+    design: Design, folder: FilePath = "fmus", changes: Mapping[str, Mapping[str, Any]] | None = None
 ) -> list[Path]:
     """Write the FMUs of a design, its controller and a plant, and both with their wires as an SSP file.
 
@@ -60,7 +60,7 @@ def export(
     return export_system(design, Path(folder), changes)
 
 
-def run(scenario: PathLike | Scenario, changes: Mapping[str, Any] | None = None, fmus: PathLike = "fmus") -> Result:
+def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None, fmus: FilePath = "fmus") -> Result:
     """Run a scenario.
 
     Parameters
@@ -99,10 +99,10 @@ def run(scenario: PathLike | Scenario, changes: Mapping[str, Any] | None = None,
 
 
 def compare(
-    scenario: PathLike | Scenario,
+    scenario: FilePath | Scenario,
     laws: Sequence[str] | None = None,
     changes: Mapping[str, Any] | None = None,
-    fmus: PathLike = "fmus",
+    fmus: FilePath = "fmus",
     draws: int = 128,
     workers: int | None = None,
 ) -> Comparison:
@@ -150,7 +150,7 @@ def compare(
 
 
 def _located(
-    scenario: PathLike | Scenario, changes: Mapping[str, Any] | None, fmus: PathLike
+    scenario: FilePath | Scenario, changes: Mapping[str, Any] | None, fmus: FilePath
 ) -> tuple[Scenario, Path, Path]:
     """Return the scenario with its changes, its folder and the folder of its FMUs."""
     if isinstance(scenario, Scenario):
