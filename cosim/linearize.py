@@ -53,17 +53,41 @@ def linear_model(
     start: Mapping[str, Value | str] | None = None,
     step: float | None = None,
 ) -> LinearModel:
-    """Return the linear model of the FMU `path` from `inputs` to `outputs` about an equilibrium.
+    """Return the linear model of a plant's FMU about an equilibrium.
 
-    `inputs`: none: its only real input. `outputs`: none: its states. `states`: for model exchange those to keep, none: all;
-    for co-simulation "OUTPUT=PARAMETER", or "OUTPUT", whose parameter is OUTPUT_0, or itself where its start value can be
-    set (initial = "exact"), none: all real outputs of which that is so. `at`: states and inputs that stay at a value [their
-    unit] in the search for the equilibrium; other states begin at their start values and move, other inputs stay at theirs
-    unless named in `free`. `start`: start values of the FMU. `step`: communication step [s] for co-simulation, none: the
-    FMU's own, or 1 ms.
+    Parameters
+    ----------
+    path
+        The FMU.
+    inputs
+        Names of the inputs; none: its only real input.
+    outputs
+        Names of the outputs; none: its states.
+    states
+        For model exchange those to keep, none: all; for co-simulation "OUTPUT=PARAMETER", or "OUTPUT", whose parameter is
+        OUTPUT_0, or itself where its start value can be set (initial = "exact"), none: all real outputs of which that is so.
+    at
+        States and inputs that stay at a value [their unit] in the search for the equilibrium; other states begin at their
+        start values and move, other inputs stay at theirs.
+    free
+        Inputs that the search may change.
+    start
+        Start values of the FMU.
+    step
+        Communication step [s] for co-simulation; None: the FMU's own, or 1 ms.
 
-    Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle,
-    and for an FMU that does not say enough; FmuError where it fails at its start values.
+    Returns
+    -------
+    LinearModel
+        A, B, C, D with names, units, limits, and the equilibrium.
+
+    Raises
+    ------
+    UserError
+        For names that the FMU does not have, where there is no equilibrium, where derivatives do not settle, and for an FMU
+        that does not say enough.
+    FmuError
+        Where it fails at its start values.
     """
     plant = open_plant(Path(path), tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal

@@ -234,13 +234,48 @@ def simulate(
     progress: Callable[[int, int], None] | None = None,
     folder: FilePath | None = None,
 ) -> Result:
-    """Run `system` for `duration` [s] at the fixed communication `step` [s]; return what was recorded.
+    """Run coupled FMUs at a fixed communication step.
 
-    `record` names the outputs to record, all for None; `every` records each n-th communication point besides the first
-    and the last. `progress(done, total)` is called with steps. `folder` is where the result will be written. Both engines
-    make the same calls and give the same result to
-    the last bit. Raises UserError before anything runs for what cannot work or leaves more than there is room for,
-    SimulationError where an FMU fails and Interrupted on Ctrl-C, both with what was recorded.
+    Parameters
+    ----------
+    system
+        The FMUs, their wires and signals.
+    step
+        Communication step [s].
+    duration
+        A multiple of the step [s].
+    order
+        "controller-first": one after the other as listed, each reads what those before it have just computed; "parallel":
+        all read the outputs of the last communication point.
+    engine
+        The loop: "native" in C, "fmpy" in Python, "auto" in C unless an FMU is Python or for model exchange. Both make the
+        same calls and give the same result to the last bit.
+    start_time
+        When it begins [s].
+    record
+        Outputs to record, as `instance.variable`; None: all.
+    every
+        Record each n-th communication point besides the first and the last.
+    metadata
+        What the result's metadata hold besides.
+    progress
+        Called with (steps done, steps in all).
+    folder
+        Where the result will be written, which must have room for it.
+
+    Returns
+    -------
+    Result
+        What was recorded.
+
+    Raises
+    ------
+    UserError
+        Before anything runs, for what cannot work or leaves more than there is room for.
+    SimulationError
+        Where an FMU fails, with what was recorded.
+    Interrupted
+        On Ctrl-C, with what was recorded.
     """
     steps = step_count(step, duration)
     if order not in ORDERS:

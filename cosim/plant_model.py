@@ -26,9 +26,26 @@ ROUNDED = 1e-3
 class LinearModel:
     """The linear model of an FMU about an equilibrium; SI or whatever units the FMU has.
 
-    A (n, n), B (n, m), C (p, n), D (p, m); `x_eq`, `u_eq`, `y_eq`; `residual` (n,): x' there. `lower`, `upper` (m,): limits
-    that the FMU declares for its inputs. `error`: estimated largest error, relative to the largest entry of its row.
-    `method`: how it was found, in words. `notes`: what is to be known of it.
+    Parameters
+    ----------
+    name
+        A C identifier, from the file's name.
+    A, B, C, D
+        Shapes (n, n), (n, m), (p, n), (p, m).
+    states, inputs, outputs
+        Names and units.
+    x_eq, u_eq, y_eq
+        The equilibrium.
+    residual
+        x' there, shape (n,).
+    lower, upper
+        Limits that the FMU declares for its inputs, shape (m,).
+    error
+        Estimated largest error, relative to the largest entry of its row.
+    method
+        How it was found, in words.
+    notes
+        What is to be known of it.
     """
 
     name: str
@@ -50,9 +67,24 @@ class LinearModel:
     notes: tuple[str, ...]
 
     def system(self, name: str | None = None, sample_time: float | None = None) -> System:
-        """Return the model as a System without a gain; `sample_time` [s], none: by `sample_time_for`.
+        """Return the model as a System without a gain.
 
-        Raises UserError where an output depends on an input directly, or on no state.
+        Parameters
+        ----------
+        name
+            Of the system; None: the model's.
+        sample_time
+            Of the controller [s]; None: by `sample_time_for`.
+
+        Returns
+        -------
+        System
+            `with_lqr` or `changed(K=...)` gives it a gain.
+
+        Raises
+        ------
+        UserError
+            Where an output depends on an input directly, or on no state.
         """
         for i in np.flatnonzero(~self.C.any(axis=1)):
             output = self.outputs[i].name

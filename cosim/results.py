@@ -53,13 +53,32 @@ Array = np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Result(Recording):
-    """What a run recorded: a recording that can be drawn, written and read."""
+    """What a run recorded: a recording that can be drawn, written and read.
+
+    Parameters
+    ----------
+    time, signals, units, metadata
+        As of `Recording`.
+    """
 
     def plot(self, *names: str) -> Figure:
-        """Return a Matplotlib figure with a panel for each of the signals `names`.
+        """Draw the result.
 
-        Without names: the overview of what the run is judged by, or of all signals where it cannot be judged. Raises
-        UserError for a signal that is not there, or a result without rows.
+        Parameters
+        ----------
+        *names
+            Signals, a panel for each; none: the overview of what the run is judged by, or of all signals where it cannot
+            be judged.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The picture; nothing is written.
+
+        Raises
+        ------
+        UserError
+            For a signal that is not there, or a result without rows.
         """
         from .metrics import can_draw, can_evaluate  # noqa: PLC0415 - heavy
         from .plots import overview, panels_of  # noqa: PLC0415
@@ -73,8 +92,17 @@ class Result(Recording):
     def save(self, path: FilePath) -> None:
         """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.
 
-        Both are on the disk before they get their names, and Ctrl-C waits for that. Raises UserError where they cannot be
-        written; an earlier result is then as it was.
+        Both are on the disk before they get their names, and Ctrl-C waits for that.
+
+        Parameters
+        ----------
+        path
+            The table, *.csv.
+
+        Raises
+        ------
+        UserError
+            Where they cannot be written; an earlier result is then as it was.
         """
         path = Path(path)
         if path.suffix != ".csv":
@@ -91,7 +119,23 @@ class Result(Recording):
 
     @classmethod
     def load(cls, path: FilePath) -> Result:
-        """Read a CSV and the JSON that describes it; raise UserError that names the file and what does not fit."""
+        """Read a CSV and the JSON that describes it.
+
+        Parameters
+        ----------
+        path
+            The table, *.csv.
+
+        Returns
+        -------
+        Result
+            As it was saved.
+
+        Raises
+        ------
+        UserError
+            Names the file and what does not fit.
+        """
         path = Path(path)
         if path.is_file():
             size = BYTES_READ * path.stat().st_size
@@ -122,7 +166,19 @@ class Result(Recording):
 
 
 class SimulationError(RuntimeError):
-    """A run failed on the way; `result` holds everything recorded until then, `time` and `instance` say where."""
+    """A run failed on the way.
+
+    Parameters
+    ----------
+    message
+        What failed.
+    result
+        Everything recorded until then.
+    time
+        When [s].
+    instance
+        Which FMU.
+    """
 
     def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
         super().__init__(message)
@@ -130,7 +186,13 @@ class SimulationError(RuntimeError):
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a run; `result` holds everything recorded until then."""
+    """Ctrl-C during a run.
+
+    Parameters
+    ----------
+    result
+        Everything recorded until then.
+    """
 
     def __init__(self, result: Result) -> None:
         super().__init__("interrupted")

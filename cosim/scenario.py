@@ -141,7 +141,19 @@ class RecordSection(_Section):
 
 
 class Scenario(_Section):
-    """One run's description. `name` is the file's; every section and every entry has a default."""
+    """One run's description; every section and every entry has a default.
+
+    Parameters
+    ----------
+    name
+        The file's.
+    description
+        What happens, in words: the title of pictures.
+    wires
+        The connections; None: by equal names of plant and controller.
+    run, plant, controller, components, disturbance, signals, evaluate, record
+        The sections of the file, see the reference of scenarios.
+    """
 
     name: PlainName = "scenario"
     description: str = ""
@@ -172,10 +184,22 @@ class Scenario(_Section):
         return {name: part for name, part in both.items() if part.fmu != NONE} | self.components
 
     def changed(self, changes: Mapping[str, Any]) -> Scenario:
-        """Return the scenario with entries replaced, each named `section.entry` or `section.start.variable`.
+        """Return the scenario with entries replaced.
 
-        Entries of lists are named by their numbers from 0 on. Raises UserError for a name that does not exist or a value
-        outside its rule.
+        Parameters
+        ----------
+        changes
+            Values by `section.entry` or `section.start.variable`; entries of lists are named by their numbers from 0 on.
+
+        Returns
+        -------
+        Scenario
+            Checked as one of a file.
+
+        Raises
+        ------
+        UserError
+            For a name that does not exist or a value outside its rule.
         """
         data = self.model_dump(mode="json")
         for path, value in changes.items():
@@ -188,7 +212,13 @@ class Scenario(_Section):
         return _validated(data, self.name)
 
     def to_toml(self) -> str:
-        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name."""
+        """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name.
+
+        Returns
+        -------
+        str
+            The text.
+        """
         import tomli_w  # noqa: PLC0415
 
         return f"# {WRITTEN}\n" + tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
@@ -220,11 +250,22 @@ def built_in_names() -> list[str]:
 
 
 def load_scenario(name: FilePath) -> tuple[Scenario, Path]:
-    """Return (scenario, its folder) from a TOML file or an SSP file, or a built-in one by its name.
+    """Load a scenario.
 
-    The folder of an SSP file is where its FMUs were unpacked.
+    Parameters
+    ----------
+    name
+        A TOML file, an SSP file, or the name of a built-in scenario.
 
-    Raises UserError that names the file, the entry, the rule and the value.
+    Returns
+    -------
+    tuple[Scenario, pathlib.Path]
+        The scenario and its folder; that of an SSP file is where its FMUs were unpacked.
+
+    Raises
+    ------
+    UserError
+        Names the file, the entry, the rule and the value.
     """
     name, path = os.fspath(name), Path(name)
     if path.suffix == ssp.SUFFIX:

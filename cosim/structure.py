@@ -14,9 +14,19 @@ from .integration import Interface
 
 @dataclass(frozen=True)
 class Component:
-    """An FMU in a system: its name there, its file, and the start values that differ from the file's.
+    """An FMU in a system.
 
-    `interface`: how it is run, see `integration.opened`.
+    Parameters
+    ----------
+    name
+        Its name there, of letters, digits and underscores.
+    path
+        The FMU.
+    start
+        Start values that differ from the file's, by name.
+    interface
+        "CoSimulation": by the FMU's own steps; "ModelExchange": integrated by SciPy; None: CoSimulation where the FMU has
+        it.
     """
 
     name: str
@@ -37,9 +47,20 @@ class Component:
 
 @dataclass(frozen=True)
 class Wire:
-    """A connection from an output to an input, each as `instance.variable`: target = factor source + offset.
+    """A connection from an output to an input: target = factor source + offset.
 
     A factor other than 1 or an offset other than 0 is the user's word on the units, which then may differ.
+
+    Parameters
+    ----------
+    source
+        An output as `instance.variable`.
+    target
+        An input.
+    factor
+        By which the value is multiplied.
+    offset
+        What is added then, in the unit of the target.
     """
 
     source: str
@@ -55,9 +76,16 @@ class Wire:
 
 @dataclass(frozen=True)
 class Signal:
-    """A function of time [s] on an input `instance.variable`, evaluated at the start of each step and held.
+    """A function of time on an input, evaluated at the start of each step and held.
 
-    With `recorded` the input is recorded as outputs are: a row has the value of the step that ended there.
+    Parameters
+    ----------
+    target
+        The input as `instance.variable`.
+    function
+        Of the time [s].
+    recorded
+        Whether the input is recorded as outputs are: a row has the value of the step that ended there.
     """
 
     target: str
@@ -65,13 +93,40 @@ class Signal:
     recorded: bool = field(default=False, kw_only=True)
 
     def ahead(self, start_time: float, step: float, first: int, count: int) -> Sequence[float]:
-        """Return the values at start_time + k step for `count` steps from `first` on."""
+        """Return the values of coming steps.
+
+        Parameters
+        ----------
+        start_time
+            Of the run [s].
+        step
+            Communication step [s].
+        first
+            Number of the first step.
+        count
+            Number of steps.
+
+        Returns
+        -------
+        Sequence[float]
+            At start_time + k step, k = first, ..., first + count - 1.
+        """
         return [self.function(start_time + k * step) for k in range(first, first + count)]
 
 
 @dataclass(frozen=True)
 class System:
-    """Components in their order of stepping, the wires between them, and signals from outside."""
+    """A system of FMUs.
+
+    Parameters
+    ----------
+    components
+        The FMUs in their order of stepping.
+    wires
+        The connections between them.
+    signals
+        What acts on free inputs from outside.
+    """
 
     components: Sequence[Component]
     wires: Sequence[Wire] = ()

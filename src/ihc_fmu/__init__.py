@@ -4,6 +4,18 @@
 it, a `Design` with its certificate; `Controller` is that controller as an object. `inverse_design` and `direct_design` take
 all their `Options` from the user. The package `cosim` makes FMUs of a design and runs them.
 
+    >>> import numpy as np
+    >>> from ihc_fmu import Controller, System, settling_time_bound, synthesize
+    >>> A, B = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]])
+    >>> arm = System(A=A, B=B, K=np.array([[-8.0, -4.0]]), states=("angle [rad]", "rate [rad/s]"), name="arm")
+    >>> design = synthesize(arm)
+    >>> design.certificate.decrease > 0.0, design.mu
+    (True, 1.0)
+    >>> round(settling_time_bound(design, [0.1, 0.0]), 2)
+    2.19
+    >>> Controller(design)([0.1, 0.0]).shape
+    (1,)
+
 The names load their modules when they are first used: the units inside Python FMUs need the standard library only.
 """
 

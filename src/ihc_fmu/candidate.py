@@ -19,10 +19,23 @@ Array = np.ndarray
 class Candidate:
     """An implicit homogeneous controller for x' = A x + B u, in whose numbers nothing is proven yet.
 
-    system: (A, B), the linear controller u = K x that the IHC equals on ||x||_d = 1, names, units, limits.
-    P (n, n): its ellipsoid x' P x <= 1 is the unit ball of ||x||_d. mu in (0, 1]: minus the degree of homogeneity.
-    alpha [1/s]: decrease d||x||_d/dt <= -alpha ||x||_d^(1-mu).
-    psi, d_max [units of u], tau: the terms of Remark 3 (0: none). Raises UserError for numbers that no design can have.
+    Parameters
+    ----------
+    system
+        (A, B), the linear controller u = K x that the IHC equals on ||x||_d = 1, names, units, limits.
+    P
+        Shape (n, n): the ellipsoid x' P x <= 1 is the unit ball of ||x||_d.
+    mu
+        Minus the degree of homogeneity, in (0, 1].
+    alpha
+        Decrease d||x||_d/dt <= -alpha ||x||_d^(1-mu) [1/s].
+    psi, d_max, tau
+        The terms of Remark 3, d_max in units of u; 0: none.
+
+    Raises
+    ------
+    UserError
+        For numbers that no design can have.
     """
 
     system: System

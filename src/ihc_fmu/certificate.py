@@ -38,13 +38,23 @@ class CertificateError(UserError):
 class Certificate:
     """Margins of a design; every one must be positive (`identities`: at most 1e-8).
 
-    The margins of matrix inequalities are relative to P, which makes them the same in all coordinates: `decrease` is
-    -lambda_max of (A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d) + disturbance terms, relative to P [1/s],
-    `monotone` is lambda_min of G_d' P + P G_d relative to P [1], `positive` is lambda_min / lambda_max of P after its
-    diagonal is scaled to 1, `hurwitz` is minus the largest real part of the poles of A + B K [1/s]. `identities` is
-    the largest relative residual of A_0 G_d - G_d A_0 = -mu A_0 and G_d B = B. `matched_disturbance` [units of u] is the
-    bound on the Euclidean norm of a disturbance added to the control up to which ||x||_d provably still decreases everywhere
-    (mu = 1; 0 for mu < 1).
+    The margins of matrix inequalities are relative to P, which makes them the same in all coordinates.
+
+    Parameters
+    ----------
+    decrease
+        -lambda_max of (A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d) + disturbance terms, relative to P [1/s]: (11).
+    monotone
+        lambda_min of G_d' P + P G_d relative to P [1].
+    positive
+        lambda_min / lambda_max of P after its diagonal is scaled to 1.
+    hurwitz
+        Minus the largest real part of the poles of A + B K [1/s].
+    identities
+        Largest relative residual of A_0 G_d - G_d A_0 = -mu A_0 and G_d B = B, eq. (1).
+    matched_disturbance
+        Bound on the Euclidean norm of a disturbance added to the control [units of u] up to which ||x||_d provably still
+        decreases everywhere (mu = 1; 0 for mu < 1).
     """
 
     decrease: float
@@ -55,7 +65,13 @@ class Certificate:
     matched_disturbance: float
 
     def as_dict(self) -> dict[str, float]:
-        """Return the margins by name."""
+        """Return the margins by name.
+
+        Returns
+        -------
+        dict[str, float]
+            In the order above.
+        """
         return asdict(self)
 
 
@@ -239,9 +255,24 @@ def _identity_residual(design: Candidate) -> float:
 
 
 def norm_of(design: Candidate, x: ArrayLike) -> float:
-    """Return ||x||_d for the design's P and dilation, x (n,).
+    """Return the homogeneous norm ||x||_d, the root r of x' d(1/r)' P d(1/r) x = 1.
 
-    Raises UserError for another length and for entries that are not finite.
+    Parameters
+    ----------
+    design
+        Whose P and dilation d count.
+    x
+        Deviation of the states from the equilibrium, shape (n,).
+
+    Returns
+    -------
+    float
+        0 at the origin, 1 on the unit sphere x' P x = 1.
+
+    Raises
+    ------
+    UserError
+        For another length, and for entries that are not finite.
     """
     form = design.form
     Pz = (form.T_inverse.T @ design.P @ form.T_inverse).tolist()
@@ -265,9 +296,26 @@ def _state(design: Candidate, x: ArrayLike) -> Array:
 
 
 def settling_time_bound(design: Candidate, x0: ArrayLike) -> float:
-    """Return T(x0) [s] by which the linear closed loop has reached the origin: r0^mu / (mu alpha), r0 = ||x0||_d.
+    """Return the time by which the linear closed loop has reached the origin: r0^mu / (mu alpha), r0 = ||x0||_d.
 
     It follows from d||x||_d/dt <= -alpha ||x||_d^(1-mu); at mu = 1 it is the bound r0/alpha of Corollary 1. It holds for
-    the ideal law, a_min = 0 and b_max above r0, and unlimited inputs. x0 (n,); raises as `norm_of`.
+    the ideal law, a_min = 0 and b_max above r0, and unlimited inputs.
+
+    Parameters
+    ----------
+    design
+        The certified design.
+    x0
+        Where the states begin, as deviation from the equilibrium, shape (n,).
+
+    Returns
+    -------
+    float
+        The bound T(x0) [s].
+
+    Raises
+    ------
+    UserError
+        As `norm_of`.
     """
     return norm_of(design, x0) ** design.mu / (design.mu * design.alpha)

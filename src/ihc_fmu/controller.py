@@ -64,11 +64,21 @@ def _kalman(design: Design) -> LinearFilter:
 class Controller:
     """The controller of a design, sample by sample.
 
-    `start` are start values of its FMU by their names there: parameters (`a_min=0.2`, `law="LC"`, `force_upper=5.0`) and
-    set-points (`position_setpoint=0.5`). Quantities are absolute, as the plant has them. Raises UserError for a name or a
-    value that the FMU does not have or admit.
+    Quantities are absolute, as the plant has them. `values` are the start values in force, by name; `messages` what the
+    controller has said since its beginning, faults above all.
 
-    `values`: start values in force, by name. `messages`: what the controller has said since its beginning, faults above all.
+    Parameters
+    ----------
+    design
+        The certified design.
+    **start
+        Start values of its FMU by their names there: parameters (`a_min=0.2`, `law="LC"`, `force_upper=5.0`) and set-points
+        (`position_setpoint=0.5`).
+
+    Raises
+    ------
+    UserError
+        For a name or a value that the FMU does not have or admit, and where there is no estimator.
     """
 
     def __init__(self, design: Design, **start: Value | str) -> None:
@@ -99,10 +109,17 @@ class Controller:
         return np.array(self._unit.state.commands)
 
     def set(self, **changes: Value | str) -> None:
-        """Change set-points and tunable parameters from the next sample on, by their names; the state stays.
+        """Change set-points and tunable parameters from the next sample on; the state stays.
 
-        Raises UserError for what does not exist, cannot change during a run, or does not admit the value; nothing is
-        changed then.
+        Parameters
+        ----------
+        **changes
+            Values by name.
+
+        Raises
+        ------
+        UserError
+            For what does not exist, cannot change during a run, or does not admit the value; nothing is changed then.
         """
         known = {v.name: v for v in self.interface.variables if v.causality == "input" or v.variability == "tunable"}
         for name in changes:

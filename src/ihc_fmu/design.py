@@ -35,8 +35,27 @@ ORDER_1 = 4
 class Design(Candidate):
     """A certified implicit homogeneous controller for x' = A x + B u; it cannot be made without its certificate.
 
-    The numbers are those of `Candidate`, proven with alpha and with the terms of Remark 3 that are not 0. method: how it was
-    designed. Raises CertificateError for what is not proven.
+    Parameters
+    ----------
+    system
+        (A, B), the linear controller u = K x that the IHC equals on ||x||_d = 1, names, units, limits.
+    P
+        Shape (n, n): the ellipsoid x' P x <= 1 is the unit ball of ||x||_d.
+    mu
+        Minus the degree of homogeneity, in (0, 1].
+    alpha
+        Decrease d||x||_d/dt <= -alpha ||x||_d^(1-mu) [1/s].
+    psi, d_max, tau
+        The terms of Remark 3, d_max in units of u; 0: none.
+    method
+        How it was designed.
+
+    Raises
+    ------
+    UserError
+        For numbers that no design can have.
+    CertificateError
+        For what is not proven, with alpha and with the terms of Remark 3 that are not 0.
     """
 
     method: str = "given"
@@ -54,9 +73,23 @@ class Design(Candidate):
     ) -> Design:
         """Return the design with P scaled by an explicit rule, which leaves (11) untouched.
 
-        Either the largest |(K - K_0) x| on the unit ball becomes `u_max`, a number or one for each input of which the
-        first is reached, or the largest |x_index| there becomes `bound`. Raises UserError where not exactly one rule is
-        given.
+        Parameters
+        ----------
+        u_max
+            What the largest |(K - K_0) x| on the unit ball becomes, a number or one for each input, of which the first is
+            reached.
+        index, bound
+            Instead: the largest |x_index| there becomes `bound`.
+
+        Returns
+        -------
+        Design
+            With the same K, mu and alpha.
+
+        Raises
+        ------
+        UserError
+            Where not exactly one rule is given, and for a design with the terms of Remark 3.
         """
         if (u_max is None) == (bound is None or index is None):
             raise UserError("the scale of P needs one rule: u_max, or index and bound")
@@ -73,7 +106,13 @@ class Design(Candidate):
         return replace(self, P=self.P * factor**2)
 
     def to_json(self) -> str:
-        """Return the design with its derived numbers and certificate as JSON; floats are exact."""
+        """Return the design with its derived numbers and certificate as JSON; floats are exact.
+
+        Returns
+        -------
+        str
+            The text.
+        """
         given = {name: getattr(self, name) for name in _SCALARS}
         derived = {
             "K_0": self.form.K_0.tolist(),
@@ -88,14 +127,40 @@ class Design(Candidate):
         return json.dumps(data, indent=1) + "\n"
 
     def save(self, path: FilePath) -> None:
-        """Write the JSON to `path`, whole or not at all; raises UserError where it cannot be written."""
+        """Write the design file, JSON, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Raises
+        ------
+        UserError
+            Where it cannot be written.
+        """
         write_file(Path(path), self.to_json())
 
     @classmethod
     def from_json(cls, text: str) -> Design:
         """Return the design of `to_json`; the derived numbers are computed anew and the certificate is checked.
 
-        Raises UserError for text that is not a design, and CertificateError for one that proves nothing.
+        Parameters
+        ----------
+        text
+            JSON.
+
+        Returns
+        -------
+        Design
+            Proven anew.
+
+        Raises
+        ------
+        UserError
+            For text that is not a design.
+        CertificateError
+            For one that proves nothing.
         """
         data = parse_json(text, "a design")
         if not isinstance(data, dict) or data.get("format") not in (FORMAT, FORMAT_1):
@@ -120,7 +185,25 @@ class Design(Candidate):
 
     @classmethod
     def load(cls, path: FilePath) -> Design:
-        """Read a design file; errors name the file."""
+        """Read a design file.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        Design
+            Proven anew.
+
+        Raises
+        ------
+        UserError
+            For a file that is not a design's; the sentence names it.
+        CertificateError
+            For one that proves nothing.
+        """
         text = read_text(Path(path), "design")
         try:
             return cls.from_json(text)

@@ -44,7 +44,15 @@ STIFFEST = 1e6
 
 
 class InfeasibleError(UserError):
-    """The matrix inequalities have no solution for the given numbers, or none was found (`numerical`)."""
+    """The matrix inequalities have no solution for the given numbers, or none was found.
+
+    Parameters
+    ----------
+    message
+        What was asked for, and what came of it.
+    numerical
+        Whether none was found although none is refuted either.
+    """
 
     def __init__(self, message: str, *, numerical: bool = False) -> None:
         super().__init__(message)

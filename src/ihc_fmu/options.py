@@ -21,9 +21,30 @@ SCALES = (1e-9, 1e9)
 class Options:
     """What both designs take besides the model.
 
-    mu: homogeneity, (0, 1]. alpha [1/s]: decrease to be proven. u_max: bound on |(K - K_0) x| on the unit ball, a number
-    or one for each input, the scale of P. delta_max: instead or as well, a bound on |x_index| on it. beta:
-    G_d X + X G_d' >= 2 beta X, which keeps the dilation monotone with a margin. psi, d_max: the terms of Remark 3.
+    Parameters
+    ----------
+    mu
+        Minus the degree of homogeneity, in (0, 1]; 1 rejects bounded disturbances.
+    alpha
+        Decrease to be proven [1/s], d||x||_d/dt <= -alpha ||x||_d^(1-mu), inequality (11).
+    u_max
+        Bound on |(K - K_0) x| on the unit ball, a number or one for each input [units of u]: the scale of P. None: by
+        `delta_max` alone.
+    delta_max
+        Instead or as well, a bound on |x_index| on the unit ball [unit of that state].
+    index
+        Number of that state, from 0.
+    beta
+        G_d X + X G_d' >= 2 beta X keeps the dilation monotone with a margin; in (0, 1).
+    psi
+        Relative bound on an uncertainty of the model, Remark 3; 0: none.
+    d_max
+        Bound on a disturbance added to the control [units of u], Remark 3; 0: none.
+
+    Raises
+    ------
+    UserError
+        For a number outside its rule.
     """
 
     mu: float = 1.0
@@ -54,7 +75,18 @@ class Options:
             raise UserError(f"beta must lie in (0, 1), found {self.beta}")
 
     def bounds(self, m: int) -> Array | None:
-        """Return u_max for each of m inputs."""
+        """Return u_max for each input.
+
+        Parameters
+        ----------
+        m
+            Number of inputs.
+
+        Returns
+        -------
+        numpy.ndarray or None
+            Shape (m,); None where `u_max` is None.
+        """
         if self.u_max is None:
             return None
         bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))

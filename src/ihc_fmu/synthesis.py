@@ -63,9 +63,30 @@ def inverse_design(
 
     from a P that satisfies the inequalities: that of `start`, which a `Choice` has, or one found by `search`. The units of
     states, inputs and time change nothing but by rounding: P relative to itself by 1e-6, or by 1e-16 over
-    `Certificate.positive` where that is more. `say` is told how the search goes. Raises UserError for a pair that is not
-    controllable or a K that does not stabilize it, InfeasibleError where no P is found for alpha, `numerical` where none is
-    refuted either.
+    `Certificate.positive` where that is more.
+
+    Parameters
+    ----------
+    system
+        The linear model with the gain K of the linear controller.
+    options
+        What is asked for; None: as by default, `chosen_options` fits them to the system.
+    say
+        Is told how a long search goes, a sentence each time.
+    start
+        Where P = I serves, of a `Choice`; None: it is searched.
+
+    Returns
+    -------
+    Design
+        With its certificate.
+
+    Raises
+    ------
+    UserError
+        For a pair that is not controllable, or a K that does not stabilize it.
+    InfeasibleError
+        Where no P is found for alpha, `numerical` where none is refuted either.
     """
     options = options or Options()
     options.bounds(system.m)
@@ -96,7 +117,26 @@ def direct_design(system: System, options: Options | None = None) -> Design:
 
     whose X is positive definite for every controllable pair. For an alpha so slow that this unit ball, beside the system's
     own motion, is flatter than FLAT, the design is for the first faster rate at which it is not, or for one with half of
-    the roundest ball's: what decreases faster decreases at alpha too. Raises as `inverse_design`.
+    the roundest ball's: what decreases faster decreases at alpha too.
+
+    Parameters
+    ----------
+    system
+        The linear model.
+    options
+        What is asked for, u_max above all; None: as by default.
+
+    Returns
+    -------
+    Design
+        With its certificate; `design.K` is the gain.
+
+    Raises
+    ------
+    UserError
+        For a pair that is not controllable, or options without u_max.
+    InfeasibleError
+        As `inverse_design`.
     """
     options = options or Options()
     bounds = options.bounds(system.m)
@@ -223,8 +263,32 @@ def largest_alpha(
 ) -> float:
     """Return the largest alpha [1/s] for which a solution of (11) is found, within the relative `tolerance`, from below.
 
-    It lies below the decay rate of the slowest pole, because every w_i is at least 1. `say` is told how the search goes.
-    Raises InfeasibleError where no solution is found for any alpha.
+    It lies below the decay rate of the slowest pole, because every w_i is at least 1.
+
+    Parameters
+    ----------
+    system
+        The linear model with its gain K.
+    mu
+        Minus the degree of homogeneity, in (0, 1].
+    tolerance
+        Relative one of the result.
+    say
+        Is told how a long search goes.
+    beta
+        As in `Options`.
+
+    Returns
+    -------
+    float
+        The largest alpha [1/s] that was found, from below.
+
+    Raises
+    ------
+    UserError
+        As `inverse_design`.
+    InfeasibleError
+        Where no solution is found for any alpha.
     """
     return _fastest(system, mu, tolerance, say, beta)[0]
 
@@ -286,9 +350,16 @@ def _fastest_rejecting(
 
 @dataclass(frozen=True)
 class Choice:
-    """Options of a design, and why those that nobody gave are what they are: a sentence each.
+    """Options of a design, and why those that nobody gave are what they are.
 
-    `start` is where P = I serves for them, if a search for the largest alpha came by: a design need not search again.
+    Parameters
+    ----------
+    options
+        What `inverse_design` takes.
+    reasons
+        A sentence for each that was chosen.
+    start
+        Where P = I serves for them, if a search for the largest alpha came by: a design need not search again.
     """
 
     options: Options
@@ -307,10 +378,33 @@ def chosen_options(
 ) -> Choice:
     """Return options for an inverse design: what is not given is chosen from the system.
 
-    mu is 1, with integral action 1/2, or without d_max the first of MUS below at which a solution is found; alpha [1/s] half
-    of the largest one at that mu under the other options, found to about ROUGH; u_max half of the room that the limits leave
-    around the equilibrium, without limits 1 for each input. `rest` are other options. Raises as `largest_alpha` and
-    `Options`, and UserError for a mu that integral action does not have.
+    Parameters
+    ----------
+    system
+        The linear model with its gain K.
+    mu
+        None: 1, with integral action 1/2, or without d_max the first of MUS below at which a solution is found.
+    alpha
+        [1/s]; None: half of the largest one at that mu under the other options, found to about ROUGH.
+    u_max
+        None, and no delta_max: half of the room that the limits leave around the equilibrium, without limits 1 for each
+        input.
+    say
+        Is told how a long search goes.
+    **rest
+        Other entries of `Options`.
+
+    Returns
+    -------
+    Choice
+        Options and reasons.
+
+    Raises
+    ------
+    UserError
+        As `Options` and `inverse_design`, and for a mu that integral action does not have.
+    InfeasibleError
+        As `largest_alpha`.
     """
     reasons, of_bounds, start = [], [], None
     if mu is not None and system.integral is not None:

@@ -46,7 +46,15 @@ LAWS = ("u = K x", "u = -K x")
 
 
 class Quantity(NamedTuple):
-    """A state, an input or an output: its name and its unit, "1" for none."""
+    """A state, an input or an output.
+
+    Parameters
+    ----------
+    name
+        Its name.
+    unit
+        Its unit, "1" for none.
+    """
 
     name: str
     unit: str = "1"
@@ -58,7 +66,22 @@ class Quantity(NamedTuple):
     def parse(cls, text: str, what: str = "a quantity") -> Quantity:
         """Return the quantity that "position [m]" or "position" means; the bracket of a unit stands behind a blank.
 
-        Raises UserError that calls it `what`.
+        Parameters
+        ----------
+        text
+            Name and perhaps a unit.
+        what
+            What an error calls it.
+
+        Returns
+        -------
+        Quantity
+            Name and unit.
+
+        Raises
+        ------
+        UserError
+            For a text without a printable name, or one that is too long.
         """
         match = re.fullmatch(r"(.*\S)\s+\[([^\[\]]+)\]", text.strip())
         name, unit = (match[1], match[2].strip()) if match else (text.strip(), "1")
@@ -127,18 +150,50 @@ class ObserverWish:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class System:
-    """x' = A x + B (u - u_eq), y - y_eq = C x, with x the deviation of the states from x_eq.
+    """A plant's linear model and the linear controller that works on it: x' = A x + B (u - u_eq), y - y_eq = C x.
 
-    A (n, n), B (n, m). C (p, n): what is measured; None: the states themselves. K (m, n): a linear controller that works,
-    u = K x, or None. `name` is a C identifier; FMUs and files are named after it. `states`, `inputs`, `outputs` are names
-    with units, as Quantity or "name [unit]". `lower`, `upper` (m,): limits of the inputs as the plant takes them, infinite
-    for none. `resolutions` (p,): step of a counting sensor, `deviations` (p,): standard deviation of a sensor's noise, 0 for
-    none. `sample_time` [s]: of the controller. `set_points`: outputs with a reference. `biases`: outputs whose bias a Kalman
-    filter is to estimate; `bandwidth` [rad/s]: of its estimate of the disturbances, 0: none, None: chosen. `integral`: K_i
-    (m, n) of a linear PI controller that works, u = K x + v, v' = K_i x, or "direct", which chooses one; None: no integral
-    action. `observer`: a homogeneous observer in place of a Kalman filter.
+    x is the deviation of the states from x_eq.
 
-    Raises UserError that names the entry, its rule and what was found.
+    Parameters
+    ----------
+    A
+        Shape (n, n).
+    B
+        Shape (n, m), or (n,) for one input.
+    C
+        What is measured, shape (p, n); None: the states themselves.
+    K
+        The linear controller u = K x, shape (m, n), or (n,) for one input; None: none yet.
+    name
+        A C identifier; FMUs and files are named after it.
+    states, inputs, outputs
+        Names with units, as `Quantity` or "name [unit]"; none: x1, x2, ..., u1, ..., y1, ...
+    lower, upper
+        Limits of the inputs as the plant takes them, shape (m,), infinite for none.
+    resolutions
+        Step of a counting sensor, shape (p,), 0 for none [units of y].
+    deviations
+        Standard deviation of a sensor's noise, shape (p,), 0 for none [units of y].
+    sample_time
+        Of the controller [s].
+    x_eq, u_eq, y_eq
+        The equilibrium, shapes (n,), (m,), (p,); None: 0.
+    set_points
+        Outputs with a reference.
+    biases
+        Outputs whose bias a Kalman filter is to estimate.
+    bandwidth
+        Of the filter's estimate of the disturbances [rad/s], 0: none, None: chosen.
+    integral
+        K_i of a linear PI controller that works, u = K x + v, v' = K_i x, shape (m, n), or "direct", which chooses one;
+        None: no integral action.
+    observer
+        A homogeneous observer in place of a Kalman filter.
+
+    Raises
+    ------
+    UserError
+        Names the entry, its rule and what was found.
     """
 
     A: Array
@@ -331,14 +386,43 @@ class System:
         return self.B[:, 0]
 
     def output(self, name: str, what: str = "output") -> int:
-        """Return the index of an output; raise UserError for another name."""
+        """Return the index of an output.
+
+        Parameters
+        ----------
+        name
+            Its name.
+        what
+            What an error calls it.
+
+        Returns
+        -------
+        int
+            From 0.
+
+        Raises
+        ------
+        UserError
+            For another name.
+        """
         names = [q.name for q in self.outputs]
         if name not in names:
             raise UserError(f"{what} must name outputs, found {shown(name)}{did_you_mean(name, names)}")
         return names.index(name)
 
     def changed(self, **changes: Any) -> System:
-        """Return the system with fields replaced; C stays absent where it was, and a new C has new outputs."""
+        """Return the system with fields replaced; C stays absent where it was, and a new C has new outputs.
+
+        Parameters
+        ----------
+        **changes
+            Fields by name.
+
+        Returns
+        -------
+        System
+            Checked as a new one.
+        """
         kept: dict[str, Any] = {"C": None, "outputs": (), "y_eq": None} if self.measures_state else {}
         if "C" in changes:
             kept = {"y_eq": None, "resolutions": None, "deviations": None, **dict.fromkeys(_OF_OUTPUTS, ())}
@@ -348,9 +432,25 @@ class System:
     def with_lqr(self, Q: Array, R: Array) -> System:
         """Return the system with the gain of the linear-quadratic regulator, K = -R^-1 B' S.
 
-        S solves A' S + S A - S B R^-1 B' S + Q = 0. Q (n, n) or (n,) for a diagonal, R (m, m) or (m,). Raises UserError for
-        weights without a stabilizing solution, also where (A, B) is not controllable, and where none is found in double
-        precision.
+        S solves A' S + S A - S B R^-1 B' S + Q = 0.
+
+        Parameters
+        ----------
+        Q
+            Weights of the states, shape (n, n), or (n,) for a diagonal.
+        R
+            Weights of the inputs, shape (m, m), or (m,).
+
+        Returns
+        -------
+        System
+            With K.
+
+        Raises
+        ------
+        UserError
+            For weights without a stabilizing solution, also where (A, B) is not controllable, and where none is found in
+            double precision.
         """
         weights = []
         for name, value, size in (("Q", Q, self.n), ("R", R, self.m)):
@@ -385,9 +485,28 @@ class System:
     def from_state_space(cls, model: Any, K: Array | None = None, law: str | None = None, **rest: Any) -> System:
         """Return the system of a `control.StateSpace`, or of any object with A, B, C, D of a continuous-time model.
 
-        `law` says how K is meant: "u = K x" as here, or "u = -K x" as `control.lqr` returns it; with K it must be given.
-        `rest` are other fields of System; labels of the model become names where none are given. A C that is the unit
-        matrix stands for measured states.
+        Labels of the model become names where none are given. A C that is the unit matrix stands for measured states.
+
+        Parameters
+        ----------
+        model
+            With D = 0.
+        K
+            Gain of the linear controller, shape (m, n).
+        law
+            How K is meant: "u = K x" as here, or "u = -K x" as `control.lqr` returns it; with K it must be given.
+        **rest
+            Other fields of `System`.
+
+        Returns
+        -------
+        System
+            Checked as a new one.
+
+        Raises
+        ------
+        UserError
+            For another model, or a K without its law.
         """
         if not all(hasattr(model, name) for name in "ABCD"):
             raise UserError(f"the model must have A, B, C and D, found a {type(model).__name__}")
@@ -411,7 +530,23 @@ class System:
 
     @classmethod
     def load(cls, path: FilePath) -> System:
-        """Return the system of a TOML file; errors name the file."""
+        """Return the system of a TOML file.
+
+        Parameters
+        ----------
+        path
+            The file.
+
+        Returns
+        -------
+        System
+            Named after the file where the file does not name it.
+
+        Raises
+        ------
+        UserError
+            Names the file, the entry and its rule.
+        """
         path = Path(path)
         data = read_toml(path, "system")
         try:
@@ -420,7 +555,13 @@ class System:
             raise UserError(f"{path}: {error}") from None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what `from_dict` reads, in plain types; what is as by default is left out."""
+        """Return the entries of a system file in plain types; what is as by default is left out.
+
+        Returns
+        -------
+        dict
+            Numbers, texts, and lists of them.
+        """
         assert self.lower is not None
         assert self.upper is not None
         found: dict[str, Any] = {"name": self.name, "A": self.A.tolist(), "B": self.B.tolist()}
@@ -454,7 +595,18 @@ class System:
         return found
 
     def to_toml(self, comment: str = "") -> str:
-        """Return the text of a TOML file that `load` reads; `comment` lines stand at its head."""
+        """Return the text of a TOML file that `load` reads.
+
+        Parameters
+        ----------
+        comment
+            Lines that stand at its head.
+
+        Returns
+        -------
+        str
+            The text.
+        """
         import tomli_w  # noqa: PLC0415
 
         head = [f"# {line}".rstrip() for line in (WRITTEN, *comment.splitlines())]
@@ -469,7 +621,20 @@ class System:
         return "\n".join(head) + "\n" + text
 
     def save(self, path: FilePath, comment: str = "") -> None:
-        """Write the TOML file, whole or not at all; raise UserError where it cannot be written."""
+        """Write the TOML file, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file.
+        comment
+            Lines that stand at its head.
+
+        Raises
+        ------
+        UserError
+            Where it cannot be written, or would replace a file that is not this project's.
+        """
         write_file(Path(path), self.to_toml(comment))
 
 
