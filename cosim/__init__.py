@@ -3,9 +3,9 @@
 `linear_model` finds a plant FMU's linear model; `export` makes the FMUs of a design; `run` and `compare` run a scenario,
 which is a file or a `Scenario`; `simulate` couples FMUs that are listed in Python. What comes of a run is a `Result`.
 
-    >>> import cosim, ihc_fmu, numpy as np
-    >>> A, B = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]])
-    >>> arm = ihc_fmu.System(A=A, B=B, K=np.array([[-8.0, -4.0]]), states=("angle [rad]", "rate [rad/s]"), name="arm")
+    >>> import cosim, ihc_fmu
+    >>> A, B, K = [[0, 1], [4, 0]], [[0], [1]], [[-8, -4]]
+    >>> arm = ihc_fmu.System(A=A, B=B, K=K, states=("angle [rad]", "rate [rad/s]"), name="arm")
     >>> [path.name for path in cosim.export(ihc_fmu.synthesize(arm), "fmus")]
     ['arm_linear_plant.fmu', 'arm_controller.fmu', 'arm.ssp']
     >>> tilted = {"plant.start.angle_0": 0.1, "run.duration": 3.0}

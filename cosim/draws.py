@@ -7,7 +7,7 @@ are taken from a Sobol set, which covers the unit cube evenly with any number of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -129,3 +129,42 @@ def _half_width(values: Array) -> float:
     if count < 2:
         return math.nan
     return float(t.ppf(0.5 + CONFIDENCE / 2, count - 1) * np.std(values, ddof=1) / math.sqrt(count))
+
+
+def estimate_text(estimate: Estimate, text: Callable[[float], str]) -> str:
+    """Return a mean and the half width of its interval, with the digits that the interval leaves."""
+    value, half = estimate.value, estimate.half_width
+    if math.isnan(value) or math.isnan(half) or half <= 1e-9 * abs(value) or text(value).startswith("<"):
+        return text(value)
+    digits = decimals(half)
+    return f"{value:.{digits}f} ± {half:.{digits}f}"
+
+
+def decimals(half_width: float) -> int:
+    """Return the decimals that show the half width of an interval to one digit, to two where the first would be a 1."""
+    power = math.floor(math.log10(half_width))
+    return max(0, -power + (half_width < 1.95 * 10.0**power))
+
+
+def change_text(estimate: Estimate) -> str:
+    """Return a change in percent, or a factor from 10 on; its interval; and whether it is decided, smaller being better."""
+    value, half = estimate.value, estimate.half_width
+    if math.isnan(value):
+        return "–"
+    if abs(value) < 1e-12 and not half > 1e-12:
+        return "equal"
+    factor, unit = (1.0, "") if value > 9.0 else (100.0, " %")
+    shown = f"× {1.0 + value:.3g}" if value > 9.0 else f"{100.0 * value:+.3g}"
+    if math.isnan(half):
+        return shown + unit
+    if factor * half < LEAST_INTERVAL:
+        return f"{shown}{unit} {VERDICTS[estimate.decided]}"
+    digits = min(3, decimals(factor * half))
+    shown = f"× {1.0 + value:.{digits}f}" if value > 9.0 else f"{100.0 * value:+.{digits}f}"
+    return f"{shown} ± {factor * half:.{digits}f}{unit} {VERDICTS[estimate.decided]}"
+
+
+LEAST_INTERVAL = 5e-4
+"""Half width of a change's interval, in percent or of a factor, below which none is shown: draws that are all alike."""
+VERDICTS = {1: "worse", 0: "open", -1: "better"}
+"""What the sign of a decided change means."""

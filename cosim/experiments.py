@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,7 +21,19 @@ from fmu_export.files import FilePath
 from fmu_export.reading import read_json
 
 from .campaign import Job, run_all
-from .draws import PENDULUM, Chance, Estimate, chance_of, change, drawn, mean, rms_change, root_mean_square
+from .draws import (
+    PENDULUM,
+    Chance,
+    Estimate,
+    chance_of,
+    change,
+    change_text,
+    drawn,
+    estimate_text,
+    mean,
+    rms_change,
+    root_mean_square,
+)
 from .fmu import Instance
 from .master import Coupling
 from .metrics import (
@@ -38,7 +50,11 @@ from .metrics import (
 from .names import is_plain
 from .results import Result
 from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario, with_tolerances
+from .tables import mark
 from .wiring import CONTROLLER
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LAWS = ("LC", "SMC", "IHC")
 """Names of laws, in the order of tables."""
@@ -77,6 +93,62 @@ class Comparison:
     draws: tuple[Draw, ...]
     results: dict[str, Result]
     chance: Chance = PENDULUM
+
+    def _repr_html_(self) -> str:
+        """Return what `compare` prints as tables, for notebooks."""
+        from html import escape  # noqa: PLC0415
+
+        from ihc_fmu.html import html_table  # noqa: PLC0415
+
+        remarks = "".join(f"<p>{escape(remark)}</p>" for remark in self.remarks())
+        return "".join(html_table(*table) for table in self.tables()) + remarks
+
+    def rows(self) -> list[list[str]]:
+        """Return a row for each metric with a cell for each law, and one for the draws in which the law acted to the end."""
+        rows = []
+        for q in (self.quantities[name] for name in self.shown):
+            cells = []
+            for law in self.of_law:
+                value = self.value(law, q.name)
+                cells.append(estimate_text(value, q.text) + mark(q, self.steady(law), value.value))
+            rows.append([q.heading, *cells])
+        kept = (f"{self.kept(law)} of {self.count}" for law in self.of_law)
+        return [*rows, ["kept upright" if is_pendulum(self.quantities) else "acting to the end", *kept]]
+
+    def changes(self) -> list[list[str]]:
+        """Return a row for each metric with each other law's change over the first one's."""
+        base, *others = self.of_law
+        quantities = self.quantities
+        names = [name for name in self.shown if quantities[name].role != "capture"]
+        return [
+            [quantities[name].symbol, *(change_text(self.change(law, base, name)) for law in others)] for name in names
+        ]
+
+    def tables(self) -> list[tuple[str, list[str], list[list[str]]]]:
+        """Return title, headings and rows of the means, and of what they say of each law against the first one."""
+        name, count, (base, *others) = self.scenario.name, self.count, self.of_law
+        drawn = (
+            f"means ± 95 % interval over {count} draws of the encoders' offsets (steady RMS: root mean square)"
+            if count > 1
+            else "one run"
+        )
+        tables = [(f"{name}: {drawn}", ["", *self.of_law], self.rows())]
+        if others:
+            drawn = ", in the same draws; ± 95 % interval" if count > 1 else ""
+            tables.append((f"{name}: over {base}{drawn}", ["", *others], self.changes()))
+        return tables
+
+    def plot(self) -> Figure:
+        """Draw what the laws are judged by, over each other, of the typical draw.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            The picture; nothing is written.
+        """
+        from .plots import errors_of  # noqa: PLC0415 - heavy
+
+        return errors_of(self.results)
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:

@@ -123,6 +123,12 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
     ]
 
 
+def errors_of(results: Mapping[str, Recording]) -> Figure:
+    """Return what is judged, one curve per entry of `results`, over the whole run and its end."""
+    results = {literal(name): _within_range(result) for name, result in results.items()}
+    return _errors(results, evaluation_in(next(iter(results.values()))))
+
+
 def _within_range(result: Recording) -> Recording:
     """Return the result with gaps where real numbers are beyond LARGEST, which Matplotlib cannot scale."""
     return replace(

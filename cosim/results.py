@@ -89,6 +89,21 @@ class Result(Recording):
             return overview(self)
         return panels_of({"": self}, names or tuple(self.signals))
 
+    def _repr_html_(self) -> str:
+        """Return the metrics as a table, or without them the signals, for notebooks."""
+        from ihc_fmu.html import html_table  # noqa: PLC0415
+
+        from .metrics import can_evaluate, evaluate, unsteady  # noqa: PLC0415 - heavy
+        from .tables import metric_rows  # noqa: PLC0415
+
+        end = f", until {self.time[-1]:g} s" if len(self.time) else ""
+        caption = f"{len(self.time)} rows of {len(self.signals)} signals{end}"
+        if len(self.time) < 2 or not can_evaluate(self):
+            return html_table(caption, ("signal", "unit"), [(name, self.units[name]) for name in self.signals])
+        metrics = evaluate(self)
+        why = unsteady(metrics)
+        return html_table(f"{caption}{f'; * {why}' if why else ''}", (), metric_rows(metrics))
+
     def save(self, path: FilePath) -> None:
         """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.cli.display import change_text, estimate_text
+from cosim.draws import change_text, estimate_text
 from cosim.experiments import Comparison, Study, compare
 from cosim.scenario import Scenario, load_scenario
 from cosim.system_export import export_system, exported_files

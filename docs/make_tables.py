@@ -19,8 +19,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from cosim.cli.display import change_text, estimate_text
-from cosim.draws import Estimate
+from cosim.draws import Estimate, change_text, estimate_text
 from cosim.hil.faults import KINDS
 from cosim.inputs import KINDS as KINDS_OF_SIGNALS
 from cosim.metrics import QUANTITIES

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import inspect
 import subprocess
 import sys
 import warnings
@@ -14,7 +15,7 @@ import pytest
 import cosim
 import ihc_fmu
 
-A, B, K = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]]), np.array([[-8.0, -4.0]])
+A, B, K = [[0, 1], [4, 0]], [[0], [1]], [[-8, -4]]
 
 PACKAGES = pytest.mark.parametrize("package", [ihc_fmu, cosim], ids=lambda p: p.__name__)
 
@@ -39,6 +40,15 @@ def test_public_names_are_those_that_type_checkers_see(package):
         assert getattr(package, name) is getattr(importlib.import_module(module), name)
     with pytest.raises(AttributeError, match="has no attribute 'systme'"):
         _ = package.systme
+
+
+def test_what_type_checkers_know_of_a_system_is_what_it_takes():
+    tree = ast.parse(Path(inspect.getfile(ihc_fmu.System)).read_text(encoding="utf-8"))
+    (declared,) = (n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "__init__")
+    entries = inspect.signature(ihc_fmu.System).parameters
+    assert [a.arg for a in declared.args.kwonlyargs] == list(entries)
+    defaults = [inspect.Parameter.empty if d is None else ast.literal_eval(d) for d in declared.args.kw_defaults]
+    assert defaults == [entry.default for entry in entries.values()]
 
 
 def test_the_version_is_the_distributions():

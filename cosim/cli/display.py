@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
     from ihc_fmu.design import Design
 
-    from ..draws import Estimate
     from ..experiments import Comparison
-    from ..metrics import Quantity
     from ..paper.claims import Claim
     from ..results import Result
     from ..tuning import Outcome, Tuning
@@ -150,117 +148,34 @@ def print_metrics(result: Result) -> None:
     from rich.cells import cell_len
 
     from ..metrics import evaluate, unsteady
+    from ..tables import metric_rows
 
     metrics = evaluate(result)
     why = unsteady(metrics)
-    widest = max(cell_len(q.symbol) for q in metrics.quantities.values())
-    for name, q in metrics.quantities.items():
-        value = metrics.values[name]
-        unit = "" if math.isnan(value) else q.unit
-        cell = f"{q.text(value)} {unit}".rstrip() + _mark(q, metrics.steady, value)
-        console.print(f"  {escaped(q.symbol)}{' ' * (widest - cell_len(q.symbol))}  {escaped(cell)}")
+    rows = metric_rows(metrics)
+    widest = max(cell_len(symbol) for symbol, _ in rows)
+    for symbol, cell in rows:
+        console.print(f"  {escaped(symbol)}{' ' * (widest - cell_len(symbol))}  {escaped(cell)}")
     if why:
         console.print(f"  * {escaped(why)}")
-
-
-def _mark(q: Quantity, steady: bool, value: float) -> str:
-    """Return the mark of a number that is said of a steady state where there is none."""
-    return "" if steady or not q.of_window or math.isnan(value) else "*"
 
 
 def print_results(results: Mapping[str, Result]) -> None:
     """Print the metrics of several results side by side; raise UserError where they are judged by different signals."""
     from ..metrics import evaluate_alike, unsteady
+    from ..tables import side_by_side
 
     metrics = evaluate_alike(results)
-    quantities = next(iter(metrics.values())).quantities
-    rows = [
-        [q.heading, *(q.text(m.values[q.name]) + _mark(q, m.steady, m.values[q.name]) for m in metrics.values())]
-        for q in quantities.values()
-    ]
-    show_table("results", ["", *results], rows)
+    show_table("results", ["", *results], side_by_side(list(metrics.values())))
     for name, m in metrics.items():
         if not m.steady:
             console.print(escaped(f"* {name}: {unsteady(m)}"))
 
 
-def estimate_text(estimate: Estimate, text: Callable[[float], str]) -> str:
-    """Return a mean and the half width of its interval, with the digits that the interval leaves."""
-    value, half = estimate.value, estimate.half_width
-    if math.isnan(value) or math.isnan(half) or half <= 1e-9 * abs(value) or text(value).startswith("<"):
-        return text(value)
-    digits = decimals(half)
-    return f"{value:.{digits}f} ± {half:.{digits}f}"
-
-
-def decimals(half_width: float) -> int:
-    """Return the decimals that show the half width of an interval to one digit, to two where the first would be a 1."""
-    power = math.floor(math.log10(half_width))
-    return max(0, -power + (half_width < 1.95 * 10.0**power))
-
-
-def change_text(estimate: Estimate) -> str:
-    """Return a change in percent, or a factor from 10 on; its interval; and whether it is decided, smaller being better."""
-    value, half = estimate.value, estimate.half_width
-    if math.isnan(value):
-        return "–"
-    if abs(value) < 1e-12 and not half > 1e-12:
-        return "equal"
-    factor, unit = (1.0, "") if value > 9.0 else (100.0, " %")
-    shown = f"× {1.0 + value:.3g}" if value > 9.0 else f"{100.0 * value:+.3g}"
-    if math.isnan(half):
-        return shown + unit
-    if factor * half < LEAST_INTERVAL:
-        return f"{shown}{unit} {VERDICTS[estimate.decided]}"
-    digits = min(3, decimals(factor * half))
-    shown = f"× {1.0 + value:.{digits}f}" if value > 9.0 else f"{100.0 * value:+.{digits}f}"
-    return f"{shown} ± {factor * half:.{digits}f}{unit} {VERDICTS[estimate.decided]}"
-
-
-LEAST_INTERVAL = 5e-4
-"""Half width of a change's interval, in percent or of a factor, below which none is shown: draws that are all alike."""
-VERDICTS = {1: "worse", 0: "open", -1: "better"}
-"""What the sign of a decided change means."""
-
-
-def comparison_rows(comparison: Comparison) -> list[list[str]]:
-    """Return a row for each metric with a cell for each law, and one for the draws in which the law acted to the end."""
-    from ..metrics import is_pendulum
-
-    rows = []
-    for q in (comparison.quantities[name] for name in comparison.shown):
-        cells = []
-        for law in comparison.of_law:
-            value = comparison.value(law, q.name)
-            cells.append(estimate_text(value, q.text) + _mark(q, comparison.steady(law), value.value))
-        rows.append([q.heading, *cells])
-    kept = (f"{comparison.kept(law)} of {comparison.count}" for law in comparison.of_law)
-    return [*rows, ["kept upright" if is_pendulum(comparison.quantities) else "acting to the end", *kept]]
-
-
-def change_rows(comparison: Comparison) -> list[list[str]]:
-    """Return a row for each metric with each other law's change over the first one's."""
-    base, *others = comparison.of_law
-    quantities = comparison.quantities
-    names = [name for name in comparison.shown if quantities[name].role != "capture"]
-    return [
-        [quantities[name].symbol, *(change_text(comparison.change(law, base, name)) for law in others)]
-        for name in names
-    ]
-
-
 def print_comparison(comparison: Comparison) -> None:
     """Print the means of a comparison, and what they say of each law against the first one."""
-    name, count, (base, *others) = comparison.scenario.name, comparison.count, comparison.of_law
-    drawn = (
-        f"means ± 95 % interval over {count} draws of the encoders' offsets (steady RMS: root mean square)"
-        if count > 1
-        else "one run"
-    )
-    show_table(f"{name}: {drawn}", ["", *comparison.of_law], comparison_rows(comparison))
-    if others:
-        drawn = ", in the same draws; ± 95 % interval" if count > 1 else ""
-        show_table(f"{name}: over {base}{drawn}", ["", *others], change_rows(comparison))
+    for title, headings, rows in comparison.tables():
+        show_table(title, headings, rows)
     for remark in comparison.remarks():
         console.print(escaped(remark))
 
@@ -296,55 +211,21 @@ def progress() -> Progress:
     return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
 
 
-LARGEST_SHOWN = 4
-"""States of a design up to which its P is printed: larger ones push the certificate out of view."""
-
-
 def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
     """Print a design's numbers, why they were chosen, and its certificate."""
-    import numpy as np
     from rich.table import Table
 
-    def row(values: Iterable[float]) -> str:
-        return "[" + ", ".join(f"{v:.6g}" for v in values) + "]"
-
-    def rows(matrix: Iterable[Iterable[float]]) -> str:
-        return "\n".join(row(line) for line in matrix)
-
-    system = found.system
-    table = Table(
-        title=escaped(f"implicit homogeneous controller of {system.name}, {found.method}"),
-        show_header=False,
-        title_justify="left",
-    )
-    table.add_row("states", escaped(", ".join(map(str, system.states))))
-    table.add_row("K, u = K x", rows(found.K))
-    table.add_row("K - K_0", rows(found.K_h))
-    if found.integral is not None:
-        table.add_row("K_i of the integral action", rows(found.integral.K_i))
-    whole = found.n <= LARGEST_SHOWN
-    table.add_row("P", rows(found.P) if whole else f"{found.n} x {found.n}, in the file")
-    table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
-    table.add_row("origin reached from the unit sphere within", f"{1.0 / (found.mu * found.alpha):.4g} s")
-    largest = (f"{q.name} {u:.6g}{_unit(q.unit)}" for q, u in zip(system.inputs, found.u_max, strict=True))
-    table.add_row("largest |(K - K_0) x| on the unit ball", escaped(", ".join(largest)))
-    extent = (f"{q.name} {x:.4g}{_unit(q.unit)}" for q, x in zip(system.states, found.extent, strict=True))
-    table.add_row("largest states on the unit ball", escaped(", ".join(extent)))
-    poles = np.linalg.eigvals(found.A + found.B @ found.K)
-    table.add_row("poles of A + B K", ", ".join(f"{p:.4g}" for p in poles))
-    for name, margin in found.certificate.as_dict().items():
-        table.add_row(f"certificate: {name}", f"{margin:.4g}")
+    table = Table(title=escaped(found.title), show_header=False, title_justify="left")
+    for label, text in found.summary():
+        table.add_row(label, escaped(text))
     console.print(table)
     for reason in reasons:
         console.print(f"chosen: {escaped(reason)}", highlight=False)
 
 
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
-
-
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
+    from ..draws import change_text
     from ..metrics import is_pendulum
 
     q, linear, variation = tuning.quantities[tuning.measure], tuning.linear, tuning.chattering

@@ -4,10 +4,9 @@
 it, a `Design` with its certificate; `Controller` is that controller as an object. `inverse_design` and `direct_design` take
 all their `Options` from the user. The package `cosim` makes FMUs of a design and runs them.
 
-    >>> import numpy as np
     >>> from ihc_fmu import Controller, System, settling_time_bound, synthesize
-    >>> A, B = np.array([[0.0, 1.0], [4.0, 0.0]]), np.array([[0.0], [1.0]])
-    >>> arm = System(A=A, B=B, K=np.array([[-8.0, -4.0]]), states=("angle [rad]", "rate [rad/s]"), name="arm")
+    >>> A, B, K = [[0, 1], [4, 0]], [[0], [1]], [[-8, -4]]
+    >>> arm = System(A=A, B=B, K=K, states=("angle [rad]", "rate [rad/s]"), name="arm")
     >>> design = synthesize(arm)
     >>> design.certificate.decrease > 0.0, design.mu
     (True, 1.0)

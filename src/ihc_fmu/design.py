@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,14 @@ from fmu_export.reading import parse_json, read_text
 
 from .candidate import Candidate
 from .certificate import Certificate, CertificateError, certify
+from .html import html_table
 from .integral import IntegralAction, integral_action
 from .system import LARGEST, PENDULUM, QUIET, from_dict
 
 Array = np.ndarray
+
+LARGEST_SHOWN = 4
+"""States of a design up to which its P is shown: larger ones push the certificate out of view."""
 
 DESIGN_FILE = "design.json"
 """Among a controller FMU's resources: the design that it was made of, which its code does not read."""
@@ -67,6 +71,41 @@ class Design(Candidate):
         super().__post_init__()
         object.__setattr__(self, "certificate", certify(self))
         object.__setattr__(self, "integral", integral_action(self))
+
+    @property
+    def title(self) -> str:
+        """What the design is of, and how it was made."""
+        return f"implicit homogeneous controller of {self.system.name}, {self.method}"
+
+    def summary(self) -> list[tuple[str, str]]:
+        """Return the design's numbers and its certificate in words.
+
+        Returns
+        -------
+        list[tuple[str, str]]
+            What it is, and the numbers; a matrix has a line for each row.
+        """
+        system = self.system
+        largest = (f"{q.name} {u:.6g}{_unit(q.unit)}" for q, u in zip(system.inputs, self.u_max, strict=True))
+        extent = (f"{q.name} {x:.4g}{_unit(q.unit)}" for q, x in zip(system.states, self.extent, strict=True))
+        poles = np.linalg.eigvals(self.A + self.B @ self.K)
+        whole = self.n <= LARGEST_SHOWN
+        return [
+            ("states", ", ".join(map(str, system.states))),
+            ("K, u = K x", _rows(self.K)),
+            ("K - K_0", _rows(self.K_h)),
+            *([] if self.integral is None else [("K_i of the integral action", _rows(self.integral.K_i))]),
+            ("P", _rows(self.P) if whole else f"{self.n} x {self.n}, in the file"),
+            ("mu, alpha", f"{self.mu:g}, {self.alpha:g} 1/s"),
+            ("origin reached from the unit sphere within", f"{1.0 / (self.mu * self.alpha):.4g} s"),
+            ("largest |(K - K_0) x| on the unit ball", ", ".join(largest)),
+            ("largest states on the unit ball", ", ".join(extent)),
+            ("poles of A + B K", ", ".join(f"{p:.4g}" for p in poles)),
+            *((f"certificate: {name}", f"{margin:.4g}") for name, margin in self.certificate.as_dict().items()),
+        ]
+
+    def _repr_html_(self) -> str:
+        return html_table(self.title, (), self.summary())
 
     def scaled_to(
         self, *, u_max: float | Sequence[float] | None = None, index: int | None = None, bound: float | None = None
@@ -233,3 +272,11 @@ def _is_numbers(value: object, levels: int) -> bool:
     if not isinstance(value, list) or not all(_is_numbers(v, levels - 1) for v in value):
         return False
     return levels < 2 or len({len(row) for row in value}) <= 1
+
+
+def _rows(matrix: Iterable[Iterable[float]]) -> str:
+    return "\n".join("[" + ", ".join(f"{v:.6g}" for v in row) + "]" for row in matrix)
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "1" else f" {unit}"

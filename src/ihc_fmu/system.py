@@ -15,9 +15,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from filing.files import write_file
 from filing.origin import WRITTEN
@@ -218,6 +219,34 @@ class System:
     integral: Array | str | None = None
     observer: ObserverWish | None = None
     measures_state: bool = field(init=False)
+
+    if TYPE_CHECKING:  # what is taken is wider than what is held
+
+        def __init__(
+            self,
+            *,
+            A: ArrayLike,
+            B: ArrayLike,
+            C: ArrayLike | None = None,
+            K: ArrayLike | None = None,
+            name: str = "system",
+            states: Sequence[Quantity | str] = (),
+            inputs: Sequence[Quantity | str] = (),
+            outputs: Sequence[Quantity | str] = (),
+            lower: ArrayLike | None = None,
+            upper: ArrayLike | None = None,
+            resolutions: ArrayLike | None = None,
+            deviations: ArrayLike | None = None,
+            sample_time: float = 1e-3,
+            x_eq: ArrayLike | None = None,
+            u_eq: ArrayLike | None = None,
+            y_eq: ArrayLike | None = None,
+            set_points: Sequence[str] = (),
+            biases: Sequence[str] = (),
+            bandwidth: float | None = None,
+            integral: ArrayLike | str | None = None,
+            observer: ObserverWish | None = None,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         self._set("A", _matrix("A", self.A))
@@ -429,7 +458,7 @@ class System:
         return replace(self, **{**kept, **changes})
 
     @QUIET
-    def with_lqr(self, Q: Array, R: Array) -> System:
+    def with_lqr(self, Q: ArrayLike, R: ArrayLike) -> System:
         """Return the system with the gain of the linear-quadratic regulator, K = -R^-1 B' S.
 
         S solves A' S + S A - S B R^-1 B' S + Q = 0.
@@ -482,7 +511,7 @@ class System:
         )
 
     @classmethod
-    def from_state_space(cls, model: Any, K: Array | None = None, law: str | None = None, **rest: Any) -> System:
+    def from_state_space(cls, model: Any, K: ArrayLike | None = None, law: str | None = None, **rest: Any) -> System:
         """Return the system of a `control.StateSpace`, or of any object with A, B, C, D of a continuous-time model.
 
         Labels of the model become names where none are given. A C that is the unit matrix stands for measured states.
@@ -641,7 +670,7 @@ class System:
 _OF_OUTPUTS = ("outputs", "set_points", "biases")
 
 
-def meant(K: Array | None, law: str | None) -> Array | None:
+def meant(K: ArrayLike | None, law: str | None) -> Array | None:
     """Return the gain of u = K x, given one and how it is meant, "u = K x", also "u = +K x", or "u = -K x".
 
     Raises UserError where a gain comes without `law`: toolboxes differ, and a sign is not guessed.

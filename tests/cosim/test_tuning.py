@@ -18,8 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.campaign import Journal
-from cosim.cli.display import change_text
-from cosim.draws import drawn
+from cosim.draws import change_text, drawn
 from cosim.errors import UserError
 from cosim.metrics import evaluate, kept_upright
 from cosim.results import Result

@@ -1,6 +1,5 @@
 """Tables: whole at any width; numbers with the digits that their interval leaves; "better" only where it is decided."""
 
-import math
 import re
 
 import numpy as np
@@ -9,15 +8,12 @@ from rich.console import Console
 
 from cosim.cli import display
 from cosim.cli.display import (
-    change_text,
-    estimate_text,
     print_claims,
     print_comparison,
     print_design,
     print_results,
     show_table,
 )
-from cosim.draws import Estimate
 from cosim.experiments import Comparison, Draw
 from cosim.metrics import QUANTITIES, Metrics
 from cosim.paper.claims import Claim
@@ -53,7 +49,7 @@ def test_a_comparison_shows_every_number_at_every_width(shown, width):
     comparison = Comparison(Scenario(), draws, {})
     text = shown(width, print_comparison, comparison)
     assert max(map(len, text.splitlines())) <= width
-    rows = [*display.comparison_rows(comparison), *display.change_rows(comparison)]
+    rows = [*comparison.rows(), *comparison.changes()]
     assert {cell for row in rows for cell in row} <= cells_of(text)
     assert len(rows) == 2 * len(comparison.shown)
     assert ("settling [s]\n  LC" in text) == (width <= 60)
@@ -72,39 +68,6 @@ def test_results_side_by_side_and_claims_lose_no_cell(shown, made_result, width)
 
 def test_markup_in_a_name_is_text(shown):
     assert "[red]x[/red]" in shown(80, show_table, "[bold]", ["", "[red]x[/red]"], [["a", "[/]"]])
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "text"),
-    [
-        (5.944, 0.97, "5.9 ± 1.0"),
-        (0.012512, 0.00038, "0.0125 ± 0.0004"),
-        (0.012512, 0.00014, "0.01251 ± 0.00014"),
-        (1858.2, 15.2, "1858 ± 15"),
-        (1858.2, 0.0, "1858"),
-        (0.5, math.nan, "0.5"),
-        (math.nan, math.nan, "never"),
-    ],
-)
-def test_a_mean_has_the_digits_that_its_interval_leaves(value, half, text):
-    assert estimate_text(Estimate(value, half), QUANTITIES["settling_time"].text) == text
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "text"),
-    [
-        (-0.209, 0.041, "-21 ± 4 % better"),
-        (0.09, 0.11, "+9 ± 11 % open"),
-        (0.645, 0.002, "+64.5 ± 0.2 % worse"),
-        (25.94, 0.48, "× 26.9 ± 0.5 worse"),
-        (0.0, 0.0, "equal"),
-        (-0.71562, 1e-17, "-71.6 % better"),
-        (-0.58, math.nan, "-58 %"),
-        (math.nan, math.nan, "–"),
-    ],
-)
-def test_a_change_is_called_better_only_where_its_interval_decides(value, half, text):
-    assert change_text(Estimate(value, half)) == text
 
 
 @pytest.mark.parametrize("n", [4, 5])
