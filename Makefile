@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo paper test lint versions bench clean
+.PHONY: demo paper test lint versions dist dist-check bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
@@ -22,6 +22,12 @@ lint: $(VENV)/installed
 versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
 	$(BIN)/python -m tests.environments
 
+dist: $(VENV)/installed   ## sdist, and wheels for Linux x86-64 and ARM, Windows and macOS, in dist/
+	$(BIN)/python make_dist.py
+
+dist-check: dist   ## dist/ again gives the same bytes; the wheel works without network and compiler; pip finds the others
+	$(BIN)/python -m tests.dist
+
 bench: $(VENV)/installed   ## speed against one C program and against other tools, installed here for it; the hardware loop's timing; the pair in foreign tools
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	$(BIN)/python -m benchmarks.native_pair
@@ -38,4 +44,4 @@ $(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from
 	@echo "Installed."
 
 clean:
-	rm -rf $(VENV) results fmus/*.fmu
+	rm -rf $(VENV) results dist fmus/*.fmu

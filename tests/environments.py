@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,6 +24,7 @@ NEWER = ("3.12", "3.13", "3.14")
 SMOKE = (
     "--version",
     "--help",
+    "new balance",
     "run --help",
     "hil --help",
     "design --mu 0.5 --alpha 0.3 -o my.json",
@@ -75,11 +76,16 @@ def install(python: str, resolution: str, folder: Path) -> Path:
     return folder / ("Scripts" if os.name == "nt" else "bin")
 
 
-def smoke(commands: Path, folder: Path) -> None:
-    """Run every command of SMOKE in `folder`; raise SystemExit for the first one that fails or warns."""
-    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb", "MPLBACKEND": "agg"}
-    for line in SMOKE:
-        command = [commands / "qube-ihc", *shlex.split(line)]
+def smoke(
+    program: Sequence[str | Path],
+    folder: Path,
+    lines: Sequence[str] = SMOKE,
+    environment: Mapping[str, str] = os.environ,
+) -> None:
+    """Run the program with every line of arguments in `folder`; raise SystemExit for the first that fails or warns."""
+    plain = {**environment, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb", "MPLBACKEND": "agg"}
+    for line in lines:
+        command = [*program, *shlex.split(line)]
         done = subprocess.run(command, cwd=folder, env=plain, capture_output=True, text=True, check=False)
         if done.returncode or re.search("Traceback|Warning", done.stderr):
             raise SystemExit(f"qube-ihc {line}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
@@ -91,7 +97,7 @@ def tried(version: str, python: str, resolution: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
         commands, work = install(python, resolution, Path(folder) / "venv"), Path(folder) / "work"
         work.mkdir()
-        smoke(commands, work)
+        smoke([commands / "qube-ihc"], work)
     seconds = time.monotonic() - begin
     return f"Python {version}, {resolution} versions: {len(SMOKE)} commands in {seconds:.0f} s"
 
