@@ -14,9 +14,12 @@ paper: $(VENV)/installed   ## the paper's experiments, repeated and judged; more
 test: $(VENV)/installed lint   ## lint, type check and all tests
 	$(BIN)/pytest
 
+C_FILES := src/*/native/* src/fmu_export/adapter/* cosim/native/* benchmarks/* tests/fmu_export/native/* tests/fmu_export/native/*/*
+
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/clang-format --dry-run --Werror $(wildcard $(addsuffix .[ch],$(C_FILES)))
 	$(BIN)/pyright
 
 versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
