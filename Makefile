@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo paper test lint versions dist dist-check bench clean
+.PHONY: demo paper test lint sanitizers versions dist dist-check bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
@@ -21,6 +21,9 @@ lint: $(VENV)/installed
 	$(BIN)/ruff format --check .
 	$(BIN)/clang-format --dry-run --Werror $(wildcard $(addsuffix .[ch],$(C_FILES)))
 	$(BIN)/pyright
+
+sanitizers: $(VENV)/installed   ## the C sources under the address and undefined behaviour sanitizers of gcc or clang; a part of make test
+	$(BIN)/pytest tests/fmu_export/test_sanitizers.py tests/plant_fmu/linear/test_sources.py
 
 versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
 	$(BIN)/python -m tests.environments

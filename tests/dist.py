@@ -10,6 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +20,7 @@ from hatch_build import TAGS
 from make_dist import DIST, make
 from tests.environments import SMOKE, smoke
 
-UV = Path(sys.executable).parent / "uv"
+UV = Path(sysconfig.get_path("scripts")) / "uv"
 PLATFORMS = {
     "x86_64-manylinux_2_17": "manylinux_2_17_x86_64",
     "aarch64-manylinux_2_17": "manylinux_2_17_aarch64",

@@ -2,7 +2,8 @@
 
 The lowest versions that pyproject.toml declares, on this Python, and the newest ones on each newer Python that the machine
 has. In each, a smoke test runs the installed command through help, design, export, runs and the hardware loop in lockstep.
-The standard library and uv, from the project's own environment; uv is told the index that pip uses.
+The standard library and uv, from the project's own environment; uv is told the index that pip uses. With the argument
+`installed` the smoke test alone, with what is installed for this Python.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
@@ -67,7 +69,7 @@ def install(python: str, resolution: str, folder: Path) -> Path:
     environment = index(os.environ, listed.stdout)
 
     def uv(*arguments: str) -> None:
-        subprocess.run([Path(sys.executable).parent / "uv", *arguments], cwd=ROOT, env=environment, check=True)
+        subprocess.run([Path(sysconfig.get_path("scripts")) / "uv", *arguments], cwd=ROOT, env=environment, check=True)
 
     uv("venv", "--quiet", "--no-config", "--no-python-downloads", "--python", python, str(folder))
     target = ("--quiet", "--no-config", "--python", str(folder))
@@ -102,6 +104,13 @@ def tried(version: str, python: str, resolution: str) -> str:
     return f"Python {version}, {resolution} versions: {len(SMOKE)} commands in {seconds:.0f} s"
 
 
+def installed() -> None:
+    """Run everything with the command that is installed beside this Python, in a temporary folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        smoke([Path(sysconfig.get_path("scripts")) / "qube-ihc"], Path(folder))
+    print(f"installed: {len(SMOKE)} commands")
+
+
 def main() -> None:
     """Try the environments, two at a time; say what was done and what is not there."""
     newer = {version: interpreter(version) for version in NEWER}
@@ -116,4 +125,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    installed() if sys.argv[1:] == ["installed"] else main()
