@@ -96,11 +96,19 @@ def test_sdist_holds_what_tests_and_documentation_need_and_nothing_compiled(made
 def test_licences_are_there(made, index):
     files = contents(made[index])
     (metadata,) = [text.decode() for name, text in files.items() if name.endswith(("PKG-INFO", "METADATA"))]
-    assert "License-Expression: MIT AND BSD-2-Clause\n" in metadata
+    assert "License-Expression: MIT AND BSD-2-Clause AND ZPL-2.1\n" in metadata
     inside = "" if index == 0 else f"qube_ihc-{PROJECT['project']['version']}.dist-info/licenses/"
     for name in PROJECT["project"]["license-files"]:
         assert f"License-File: {name}\n" in metadata
         assert files[inside + name] == (ROOT / name).read_bytes()
+
+
+def test_licences_of_what_the_compiler_adds_are_those_of_this_compiler():
+    import ziglang
+
+    compiler, texts = Path(ziglang.__file__).parent, ROOT / "src" / "fmu_export" / "licenses"
+    assert (texts / "Zig.txt").read_bytes() == (compiler / "LICENSE").read_bytes()
+    assert (texts / "mingw-w64.txt").read_bytes() == (compiler / "lib" / "libc" / "mingw" / "COPYING").read_bytes()
 
 
 def test_every_package_says_that_it_has_types(made):
