@@ -1,7 +1,7 @@
 /* The closed loop as one hand-written program: what the FMUs and the master are measured against.
  *
- * The same step functions as in the FMUs, called directly; controller first, all outputs recorded in each step. The header
- * start_values.h with PLANT and CONTROLLER is generated from the same start values as the FMUs.
+ * The same step functions as in the FMUs, called directly; controller first, all outputs recorded in each step. The
+ * header start_values.h with PLANT and CONTROLLER is generated from the same start values as the FMUs.
  */
 #include "ihc_controller.h"
 #include "qube_servo2.h"

@@ -22,7 +22,8 @@ EXPORTED long whole_steps(int design, const double (*y)[REGULATOR_OUTPUTS], long
         for (int i = 0; i < p->output_count; i++) {
             u.measurement[i] = y[k][i];
         }
-        if (regulator_step(p, &prepared, &state, (double)k * p->sample_time, p->sample_time, &u) > REGULATOR_NEW_FAULT) {
+        if (regulator_step(p, &prepared, &state, (double)k * p->sample_time, p->sample_time, &u)
+            > REGULATOR_NEW_FAULT) {
             return -1;
         }
         stabilizing += state.mode == REGULATOR_MODE_STABILIZING;

@@ -2,7 +2,8 @@
 
 The lowest versions that pyproject.toml declares, on this Python, and the newest ones on each newer Python that the machine
 has. In each, a smoke test runs the installed command through help, design, export, runs and the hardware loop in lockstep.
-The standard library and uv, from the project's own environment; uv is told the index that pip uses.
+The standard library and uv, from the project's own environment; uv is told the index that pip uses. With the argument
+`installed` the smoke test alone, with what is installed for this Python.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import shlex
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -24,6 +26,7 @@ NEWER = ("3.12", "3.13", "3.14")
 SMOKE = (
     "--version",
     "--help",
+    "new balance",
     "run --help",
     "hil --help",
     "design --mu 0.5 --alpha 0.3 -o my.json",
@@ -66,7 +69,7 @@ def install(python: str, resolution: str, folder: Path) -> Path:
     environment = index(os.environ, listed.stdout)
 
     def uv(*arguments: str) -> None:
-        subprocess.run([Path(sys.executable).parent / "uv", *arguments], cwd=ROOT, env=environment, check=True)
+        subprocess.run([Path(sysconfig.get_path("scripts")) / "uv", *arguments], cwd=ROOT, env=environment, check=True)
 
     uv("venv", "--quiet", "--no-config", "--no-python-downloads", "--python", python, str(folder))
     target = ("--quiet", "--no-config", "--python", str(folder))
@@ -75,11 +78,16 @@ def install(python: str, resolution: str, folder: Path) -> Path:
     return folder / ("Scripts" if os.name == "nt" else "bin")
 
 
-def smoke(commands: Path, folder: Path) -> None:
-    """Run every command of SMOKE in `folder`; raise SystemExit for the first one that fails or warns."""
-    plain = {**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb", "MPLBACKEND": "agg"}
-    for line in SMOKE:
-        command = [commands / "qube-ihc", *shlex.split(line)]
+def smoke(
+    program: Sequence[str | Path],
+    folder: Path,
+    lines: Sequence[str] = SMOKE,
+    environment: Mapping[str, str] = os.environ,
+) -> None:
+    """Run the program with every line of arguments in `folder`; raise SystemExit for the first that fails or warns."""
+    plain = {**environment, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb", "MPLBACKEND": "agg"}
+    for line in lines:
+        command = [*program, *shlex.split(line)]
         done = subprocess.run(command, cwd=folder, env=plain, capture_output=True, text=True, check=False)
         if done.returncode or re.search("Traceback|Warning", done.stderr):
             raise SystemExit(f"qube-ihc {line}: exit code {done.returncode}\n{done.stdout}{done.stderr}")
@@ -91,9 +99,16 @@ def tried(version: str, python: str, resolution: str) -> str:
     with tempfile.TemporaryDirectory() as folder:
         commands, work = install(python, resolution, Path(folder) / "venv"), Path(folder) / "work"
         work.mkdir()
-        smoke(commands, work)
+        smoke([commands / "qube-ihc"], work)
     seconds = time.monotonic() - begin
     return f"Python {version}, {resolution} versions: {len(SMOKE)} commands in {seconds:.0f} s"
+
+
+def installed() -> None:
+    """Run everything with the command that is installed beside this Python, in a temporary folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        smoke([Path(sysconfig.get_path("scripts")) / "qube-ihc"], Path(folder))
+    print(f"installed: {len(SMOKE)} commands")
 
 
 def main() -> None:
@@ -110,4 +125,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    installed() if sys.argv[1:] == ["installed"] else main()

@@ -12,7 +12,7 @@
 
 enum { MOST_STEPS_BETWEEN_LOOKS = 1024 }; /* at the clock */
 
-static const double SHORT = 1e-3; /* [s] */
+static const double SHORT_TIME = 1e-3; /* [s] */
 
 /* Seconds of a clock that does not jump. */
 static double now(void)
@@ -147,7 +147,7 @@ int loop_advance(loop_run *run, int64_t until, double seconds)
             if (time >= end) {
                 break;
             }
-            pause = time - looked > SHORT ? 1 : pause < MOST_STEPS_BETWEEN_LOOKS ? 2 * pause : pause;
+            pause = time - looked > SHORT_TIME ? 1 : pause < MOST_STEPS_BETWEEN_LOOKS ? 2 * pause : pause;
             looked = time;
             look = run->done + pause;
         }

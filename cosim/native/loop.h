@@ -1,7 +1,8 @@
 /* The stepping loop of the master over the FMUs' own functions: any number of FMUs, wires and recorded variables.
  *
- * Every FMU is given as C functions and ports; a port is a buffer that one call of fmi2GetReal, fmi2SetInteger, ... empties
- * or fills. Time is an integer step index k, t = start_time + k step. The caller makes all structs and owns all memory.
+ * Every FMU is given as C functions and ports; a port is a buffer that one call of fmi2GetReal, fmi2SetInteger, ...
+ * empties or fills. Time is an integer step index k, t = start_time + k step. The caller makes all structs and owns all
+ * memory.
  */
 #ifndef LOOP_H
 #define LOOP_H

@@ -31,7 +31,12 @@ from .variables import Interface, Value
 START_VALUES_SOURCE = "start_values.c"
 VALUES = "start_values.bin"
 """The start values among the resources, which an importer that has the binary reads."""
-FMI_LICENSE = ADAPTER / "fmi2" / "LICENSE.txt"
+LICENSES = {
+    "FMI.txt": ("the header files of FMI", ADAPTER / "fmi2" / "LICENSE.txt"),
+    "Zig.txt": ("what Zig's C compiler adds to binaries", Path(__file__).parent / "licenses" / "Zig.txt"),
+    "mingw-w64.txt": ("the runtime in binaries for Windows", Path(__file__).parent / "licenses" / "mingw-w64.txt"),
+}
+"""Of what native FMUs hold beside their own code: what it is, and the text."""
 ALL = "all"
 """In place of the names of all platforms."""
 
@@ -89,7 +94,9 @@ def export_native_fmu(
         files[f"binaries/{platform.name}/{name}"] = _binary(unit, platform)
         if platforms is None and platform.name == "aarch64-linux":
             files[f"binaries/linux64/{name}"] = files[f"binaries/{platform.name}/{name}"]  # where FMPy looks on ARM
-    files |= documents(shown, start, notes, origin, {"FMI.txt": ("the header files of FMI", FMI_LICENSE.read_bytes())})
+    files |= documents(
+        shown, start, notes, origin, {n: (what, text.read_bytes()) for n, (what, text) in LICENSES.items()}
+    )
     references = showing.references
     digested = {**files, "values": start_value_file(unit.interface, "", values, showing.names)}
     guid = content_guid(digested, model_description(shown, start, "", capabilities, references))

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from cosim import native_loop
+from cosim.build import LOOP, loop_files
 from cosim.errors import UserError
 from cosim.master import ORDERS, Interrupted, SimulationError, simulate
 from cosim.native_loop import SECONDS_PER_CALL, SIGNAL_STEPS
 from cosim.structure import Signal, System, Wire
-from fmu_export.native_build import BuildError
+from fmu_export.native_build import PLATFORMS, BuildError, build_library
 
 
 @pytest.fixture
@@ -187,3 +188,8 @@ def test_a_missing_loop_is_named_with_the_way_out(pair, monkeypatch):
 def test_unknown_engines_are_refused(pair):
     with pytest.raises(UserError, match="engine must be one of auto, native, fmpy, found 'fast'"):
         simulate(pair(), 1e-3, 0.1, engine="fast")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("platform", PLATFORMS.values(), ids=PLATFORMS)
+def test_loop_compiles_for_every_platform(platform):
+    assert b"loop_advance" in build_library(loop_files(), LOOP, platform)

@@ -82,6 +82,8 @@ def test_file_holds_sources_the_binary_of_this_machine_start_values_and_document
     assert files[f"sources/{unit.stem}_table.h"] == variable_table(unit).encode()
     assert b"MIT License" in files["documentation/licenses/license.txt"]
     assert b"Modelica Association" in files["documentation/licenses/FMI.txt"]
+    assert b"Zig contributors" in files["documentation/licenses/Zig.txt"]
+    assert b"mingw-w64 project" in files["documentation/licenses/mingw-w64.txt"]
     for file, path in unit.sources.items():
         assert files[f"sources/{file}"] == path.read_bytes()
 

@@ -4,25 +4,43 @@ import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
 from fmpy import extract, instantiate_fmu, read_model_description
 
+from make_dist import ROOT, build, unpacked
+
 PLANT, CONTROLLER = "QubeServo2", "IhcController"
 KINDS = [(PLANT, "cs"), (PLANT, "me"), (CONTROLLER, "cs")]
 PROGRAM = Path(__file__).parent / "native" / "host.c"
 STEP, STEPS, PRINT_EVERY = 1e-3, 1000, 100
 
+LOOP = rb"""
+#include <stdio.h>
+#include <windows.h>
+#include "loop.h"
+
+int main(int count, char **arguments)
+{
+    double times[10];
+    loop_run run = {.step = 0.5, .steps = 10, .every = 1, .times = times};
+    int (*advance)(loop_run *, int64_t, double);
+    (void)count;
+    *(FARPROC *)&advance = GetProcAddress(LoadLibraryA(arguments[1]), "loop_advance");
+    printf("%d %d %g\nno Python\n", advance(&run, 10, 60.0), (int)run.recorded, times[9]);
+    return 0;
+}
+"""
+"""Runs the master's loop, given by its path, for ten steps of no FMUs; prints its result, the rows, the last time."""
+
 FLAGS = ["-std=c99", "-O1", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
 
 
-def compile_host(target, *options):
-    from fmu_export import native_build
-
-    headers = Path(native_build.__file__).parent / "adapter" / "fmi2"
-    command = [sys.executable, "-m", "ziglang", "cc", *options, *FLAGS, "-isystem", headers, PROGRAM, "-o", target]
+def compile_host(target, *options, program=PROGRAM, headers=ROOT / "src" / "fmu_export" / "adapter" / "fmi2"):
+    command = [sys.executable, "-m", "ziglang", "cc", *options, *FLAGS, "-isystem", headers, program, "-o", target]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return target
@@ -143,7 +161,8 @@ def wine(tmp_path_factory):
     if WINE is None:
         pytest.skip("the win64 binaries were not run: that needs wine on the PATH, for example apt-get install wine")
     prefix = tmp_path_factory.mktemp("wine")
-    environment = {**os.environ, "WINEPREFIX": str(prefix), "WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
+    own = {"WINEPREFIX": str(prefix), "TMPDIR": str(prefix), "WINEDEBUG": "-all", "WINEDLLOVERRIDES": "mscoree,mshtml="}
+    environment = {**os.environ, **own}
     yield lambda *command: run_host([WINE, *command], environment)
     server = shutil.which("wineserver")
     if server is not None:
@@ -198,3 +217,34 @@ def test_windows_binary_finds_its_resources_in_any_folder(wine, windows_host, wi
         rows = wine(windows_host, on_windows(interface.binary), location, *interface.arguments("cs"))
         expected = expected or rows
         assert rows == expected
+
+
+@pytest.fixture(scope="module")
+def windows_wheel(tmp_path_factory, wine):
+    """Build and unpack the wheel for Windows."""
+    folder = tmp_path_factory.mktemp("windows wheel")
+    with (
+        unpacked(build(ROOT, "sdist", folder)) as source,
+        zipfile.ZipFile(build(source, "wheel", folder, "win64")) as wheel,
+    ):
+        wheel.extractall(folder)
+    return folder
+
+
+@pytest.mark.parametrize(("name", "kind"), KINDS)
+def test_binary_of_the_windows_wheel_gives_the_same_numbers(
+    name, kind, wine, windows_host, windows_wheel, windows_interface, native_folders
+):
+    interface, binary = windows_interface(name), windows_wheel / "fmu_export" / "binaries" / "win64" / f"{name}.dll"
+    location = "file:///Z:" + (interface.folder / "resources").as_uri().removeprefix("file://")
+    rows, _ = wine(windows_host, on_windows(binary), location, *interface.arguments(kind))
+    expected = expected_rows(Interface(native_folders[name]), kind)
+    assert rows == [pytest.approx(row, rel=1e-12, abs=1e-12) for row in expected]
+
+
+def test_loop_of_the_windows_wheel_steps(wine, windows_wheel, tmp_path):
+    (tmp_path / "loop.c").write_bytes(LOOP)
+    options = {"program": tmp_path / "loop.c", "headers": ROOT / "cosim" / "native"}
+    program = compile_host(tmp_path / "loop.exe", "-target", "x86_64-windows-gnu", **options)
+    rows, _ = wine(program, on_windows(windows_wheel / "cosim" / "binaries" / "win64" / "loop.dll"))
+    assert rows == [[0, 10, 5.0]]

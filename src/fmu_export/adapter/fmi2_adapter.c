@@ -74,8 +74,9 @@ const char *fmi2GetVersion(void)
     return fmi2Version;
 }
 
-fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID, fmi2String fmuResourceLocation,
-                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean loggingOn)
+fmi2Component fmi2Instantiate(fmi2String instanceName, fmi2Type fmuType, fmi2String fmuGUID,
+                              fmi2String fmuResourceLocation, const fmi2CallbackFunctions *functions,
+                              fmi2Boolean visible, fmi2Boolean loggingOn)
 {
     fmu_instance early; /* to log with before there is an instance */
     char problem[PROBLEM_SIZE], name[] = "unnamed";
@@ -127,7 +128,8 @@ void fmi2FreeInstance(fmi2Component c)
     fmu_destroy(c);
 }
 
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories, const fmi2String categories[])
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
+                               const fmi2String categories[])
 {
     fmu_instance *m = c;
     int errors = nCategories == 0, warnings = nCategories == 0;
@@ -162,7 +164,8 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean toleranceDefined, fm
         return fmu_say(m, fmi2Error, "the start time must be finite, found %g", startTime);
     }
     if (stopTimeDefined && !(stopTime >= startTime)) {
-        return fmu_say(m, fmi2Error, "the stop time must not be before the start time %g s, found %g", startTime, stopTime);
+        return fmu_say(m, fmi2Error, "the stop time must not be before the start time %g s, found %g", startTime,
+                       stopTime);
     }
     m->progress.experiment_set = 1;
     m->progress.time = startTime;
@@ -248,12 +251,14 @@ static int is_usual(const fmu_instance *m, const void *vr, const void *value)
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
 {
-    return is_usual(c, vr, value) ? fmu_copy(c, FMU_REAL, vr, nvr, value) : get(c, "fmi2GetReal", FMU_REAL, vr, nvr, value);
+    return is_usual(c, vr, value) ? fmu_copy(c, FMU_REAL, vr, nvr, value)
+                                  : get(c, "fmi2GetReal", FMU_REAL, vr, nvr, value);
 }
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
 {
-    return is_usual(c, vr, value) ? fmu_copy(c, FMU_INTEGER, vr, nvr, value) : get(c, "fmi2GetInteger", FMU_INTEGER, vr, nvr, value);
+    return is_usual(c, vr, value) ? fmu_copy(c, FMU_INTEGER, vr, nvr, value)
+                                  : get(c, "fmi2GetInteger", FMU_INTEGER, vr, nvr, value);
 }
 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
@@ -270,7 +275,9 @@ fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Real value[])
 {
-    return is_usual(c, vr, value) && fmu_set_inputs(c, vr, nvr, value) ? fmi2OK : set(c, "fmi2SetReal", FMU_REAL, vr, nvr, value);
+    return is_usual(c, vr, value) && fmu_set_inputs(c, vr, nvr, value)
+        ? fmi2OK
+        : set(c, "fmi2SetReal", FMU_REAL, vr, nvr, value);
 }
 
 fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer value[])
@@ -373,7 +380,8 @@ fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate FMUstate, fmi2Byt
     return fmi2OK;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size, fmi2FMUstate *FMUstate)
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedState[], size_t size,
+                                   fmi2FMUstate *FMUstate)
 {
     fmu_instance *m = c;
     if (!allowed(m, "fmi2DeSerializeFMUstate", ANY_PHASE) || !present(m, "fmi2DeSerializeFMUstate", FMUstate, 1)
@@ -430,9 +438,9 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     fmu_instance *m = c;
     double dx[FMU_MOST_STATES] = {0.0};
     room dinputs, doutputs;
-    if (!allowed(m, call, READABLE)
-        || !present(m, call, vUnknown_ref, nUnknown) || !present(m, call, vKnown_ref, nKnown)
-        || !present(m, call, dvKnown, nKnown) || !present(m, call, dvUnknown, nUnknown)) {
+    if (!allowed(m, call, READABLE) || !present(m, call, vUnknown_ref, nUnknown)
+        || !present(m, call, vKnown_ref, nKnown) || !present(m, call, dvKnown, nKnown)
+        || !present(m, call, dvUnknown, nUnknown)) {
         return fmi2Error;
     }
     if (m->unit->continuous == NULL) {
@@ -480,8 +488,8 @@ fmi2Status fmi2CancelStep(fmi2Component c)
     return unsupported(c, "fmi2CancelStep", "steps end before fmi2DoStep returns");
 }
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
-                                       const fmi2Real value[])
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                       const fmi2Integer order[], const fmi2Real value[])
 {
     (void)vr;
     (void)nvr;
@@ -490,8 +498,8 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
     return unsupported(c, "fmi2SetRealInputDerivatives", "inputs are held during a step");
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, const fmi2Integer order[],
-                                        fmi2Real value[])
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t nvr,
+                                        const fmi2Integer order[], fmi2Real value[])
 {
     (void)vr;
     (void)nvr;
@@ -567,7 +575,8 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind s, fmi2Stri
 /* ---- Model exchange ---------------------------------------------------------------------------------------------- */
 
 /* Whether `call` is allowed in the phase and `count` is the number that it must be. */
-static int fits(const fmu_instance *m, const char *call, unsigned phases, const void *pointer, size_t count, size_t expected)
+static int fits(const fmu_instance *m, const char *call, unsigned phases, const void *pointer, size_t count,
+                size_t expected)
 {
     if (!allowed(m, call, phases) || !present(m, call, pointer, count)) {
         return 0;
@@ -577,7 +586,8 @@ static int fits(const fmu_instance *m, const char *call, unsigned phases, const 
         return 0;
     }
     if (count != expected) {
-        fmu_say(m, fmi2Error, "%s must be for %lu values, found %lu", call, (unsigned long)expected, (unsigned long)count);
+        fmu_say(m, fmi2Error, "%s must be for %lu values, found %lu", call, (unsigned long)expected,
+                (unsigned long)count);
         return 0;
     }
     return 1;

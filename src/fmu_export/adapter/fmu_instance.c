@@ -18,7 +18,7 @@ enum { ALIGNMENT = 16, MESSAGE_SIZE = 1024, STATE_FORMAT = 2 };
 #endif
 
 static const unsigned long SNAPSHOT_MAGIC = 0x464D5573ul; /* "FMUs" */
-static const double TIME_TOLERANCE = 1e-6;                /* of a step, between the end of one and the start of the next */
+static const double TIME_TOLERANCE = 1e-6; /* of a step, between the end of one and the start of the next */
 
 static const char *const TYPE_NAMES[] = {"Real", "Integer", "Boolean"};
 
@@ -271,10 +271,11 @@ fmi2Status fmu_initialize(fmu_instance *m)
             return fmu_say(m, fmi2Error, "in model exchange %s", objection);
         }
         if (m->unit->continuous->count(m->parameters) != m->states) {
-            return fmu_say(m, fmi2Error,
-                           "this FMU was exported with %lu continuous states; parameters that change their number can be "
-                           "set in co-simulation only",
-                           (unsigned long)m->states);
+            return fmu_say(
+                m, fmi2Error,
+                "this FMU was exported with %lu continuous states; parameters that change their number can be "
+                "set in co-simulation only",
+                (unsigned long)m->states);
         }
         return fmu_observe(m, "initialization");
     }
@@ -307,7 +308,8 @@ fmi2Status fmu_advance(fmu_instance *m, double time, double step)
         return fmu_say(m, fmi2Error, "time must not jump: the last step ended at %.17g s, this begins at %.17g s",
                        m->progress.time, time);
     }
-    if (m->progress.stop_defined && !(time + step <= m->progress.stop + TIME_TOLERANCE * step + 1e-12 * fabs(m->progress.stop))) {
+    if (m->progress.stop_defined
+        && !(time + step <= m->progress.stop + TIME_TOLERANCE * step + 1e-12 * fabs(m->progress.stop))) {
         return fmu_say(m, fmi2Error, "a step must not pass the stop time %.17g s, found one that ends at %.17g s",
                        m->progress.stop, time + step);
     }
@@ -425,9 +427,8 @@ static void assign(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
 {
     for (size_t i = 0; i < count; i++) {
         if (type == FMU_REAL) {
-            double *place = is_free_state(m, vr[i])
-                ? m->unit->continuous->values(m->state) + fmu_state_index(m, vr[i])
-                : m->where[vr[i]];
+            double *place = is_free_state(m, vr[i]) ? m->unit->continuous->values(m->state) + fmu_state_index(m, vr[i])
+                                                    : m->where[vr[i]];
             *place = ((const double *)values)[i];
         } else {
             const int value = ((const int *)values)[i];
@@ -629,8 +630,8 @@ fmu_snapshot *fmu_deserialize(const fmu_instance *m, const unsigned char *bytes,
     memcpy(s->block, body + sizeof s->progress, m->block_size);
     const unsigned char *state = s->block + ((unsigned char *)m->state - m->block);
     const int initialized = (s->progress.phase & (FMU_INSTANTIATED | FMU_INITIALIZATION)) == 0;
-    if (found != checksum(body, size - sizeof h) || !is_phase(s->progress.phase, m->kind) || !values_are_admissible(m, s->block)
-        || (initialized && !m->unit->state_is_valid(state))) {
+    if (found != checksum(body, size - sizeof h) || !is_phase(s->progress.phase, m->kind)
+        || !values_are_admissible(m, s->block) || (initialized && !m->unit->state_is_valid(state))) {
         fmu_say(m, fmi2Error, "the serialized state is damaged");
         fmu_free_snapshot(s);
         return NULL;

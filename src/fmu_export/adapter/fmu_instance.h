@@ -12,8 +12,8 @@
 typedef enum {
     FMU_INSTANTIATED = 1,
     FMU_INITIALIZATION = 2,
-    FMU_STEP = 4,       /* co-simulation: between steps */
-    FMU_EVENT = 8,      /* model exchange */
+    FMU_STEP = 4,        /* co-simulation: between steps */
+    FMU_EVENT = 8,       /* model exchange */
     FMU_CONTINUOUS = 16, /* model exchange */
     FMU_TERMINATED = 32
 } fmu_phase;
@@ -42,10 +42,10 @@ typedef struct {
     unsigned char *block; /* parameters, inputs, outputs, prepared, state */
     void *parameters, *inputs, *outputs, *prepared, *state;
     unsigned char *spare; /* room for the block up to the state, before a change */
-    void **where;      /* address of each variable */
-    void **of_type[3]; /* the same of those of one fmu_type that are shown, NULL for others */
-    void **plain;      /* the same of real inputs without bounds */
-    size_t states; /* continuous states in model exchange */
+    void **where;         /* address of each variable */
+    void **of_type[3];    /* the same of those of one fmu_type that are shown, NULL for others */
+    void **plain;         /* the same of real inputs without bounds */
+    size_t states;        /* continuous states in model exchange */
 } fmu_instance;
 
 /* A copy of an instance's block and progress. */
@@ -92,7 +92,8 @@ fmi2Status fmu_observe(fmu_instance *m, const char *call);
 /* Copy values as they are, into reals for FMU_REAL, else into ints. */
 fmi2Status fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values);
 
-/* The usual call between steps: finite values of real inputs without bounds. 0, and nothing is set, where it is another. */
+/* The usual call between steps: finite values of real inputs without bounds. 0, and nothing is set, where it is
+ * another. */
 int fmu_set_inputs(fmu_instance *m, const fmi2ValueReference *vr, size_t count, const double *values);
 
 /* Copy values after bringing outputs up to date. */

@@ -1,5 +1,5 @@
-/* The names that this adapter gives to the linker: each begins with the unit's own name, so that several units can be parts
- * of one program. FMU_PREFIX comes from the generated header fmu_model.h.
+/* The names that this adapter gives to the linker: each begins with the unit's own name, so that several units can be
+ * parts of one program. FMU_PREFIX comes from the generated header fmu_model.h.
  */
 #ifndef FMU_NAMES_H
 #define FMU_NAMES_H

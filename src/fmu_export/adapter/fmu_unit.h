@@ -1,8 +1,8 @@
 /* What a unit (a plant, a controller) gives to the FMI adapter: its variables and its functions.
  *
  * The table of variables is generated from the unit's interface; the functions are hand-written. A unit's data are five
- * structs: parameters, inputs, outputs (local variables included), what follows from the parameters alone (prepared), and
- * the state. A status of 0 is success; what another means is told by `explain`.
+ * structs: parameters, inputs, outputs (local variables included), what follows from the parameters alone (prepared),
+ * and the state. A status of 0 is success; what another means is told by `explain`.
  */
 #ifndef FMU_UNIT_H
 #define FMU_UNIT_H
@@ -14,7 +14,7 @@
 /* Limits of a unit; its generated table asserts them. */
 enum { FMU_MOST_STATES = 16, FMU_MOST_BYTES = 1024, FMU_GUID_SIZE = 64, FMU_NAME_SIZE = 801 };
 
-typedef enum { FMU_REAL, FMU_INTEGER, FMU_BOOLEAN } fmu_type; /* enumerations are integers */
+typedef enum { FMU_REAL, FMU_INTEGER, FMU_BOOLEAN } fmu_type;            /* enumerations are integers */
 typedef enum { FMU_INPUT, FMU_OUTPUT, FMU_FIXED, FMU_TUNABLE } fmu_role; /* local variables count as outputs */
 typedef enum { FMU_WARNING, FMU_REFUSED } fmu_severity;
 
@@ -37,8 +37,8 @@ typedef struct {
     /* Take the inputs as held from now on. */
     int (*hold)(const void *parameters, const void *prepared, void *state, const void *inputs);
     /* Derivative of the outputs in the direction (dx, dinputs). */
-    void (*tangent)(const void *parameters, const void *prepared, const void *state, const void *inputs, const double *dx,
-                    const void *dinputs, void *doutputs);
+    void (*tangent)(const void *parameters, const void *prepared, const void *state, const void *inputs,
+                    const double *dx, const void *dinputs, void *doutputs);
     /* What in the parameters has no meaning in model exchange; NULL for nothing. */
     const char *(*objection)(const void *parameters);
 } fmu_continuous;
@@ -50,7 +50,8 @@ typedef struct {
     size_t parameters_size, inputs_size, outputs_size, prepared_size, state_size;
     int (*prepare)(const void *parameters, void *prepared);
     int (*initialize)(const void *parameters, const void *prepared, void *state, double time, const void *inputs);
-    int (*step)(const void *parameters, const void *prepared, void *state, double time, double step, const void *inputs);
+    int (*step)(const void *parameters, const void *prepared, void *state, double time, double step,
+                const void *inputs);
     void (*get_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
     int (*state_is_valid)(const void *state); /* whether a restored state can do no harm */
     /* Write a sentence on a status; `names` are those of the variables, by reference, as the FMU shows them. */
@@ -74,8 +75,9 @@ typedef struct {
 
 /* Read the GUID and, where there is room for `count` variables, their start values and names.
  *
- * One of two implementations is linked: that of prebuilt binaries reads the file start_values.bin in the FMU's resources
- * folder, that among an FMU's sources has the values compiled in. Returns 0, or -1 with a sentence in `problem`.
+ * One of two implementations is linked: that of prebuilt binaries reads the file start_values.bin in the FMU's
+ * resources folder, that among an FMU's sources has the values compiled in. Returns 0, or -1 with a sentence in
+ * `problem`.
  */
 int fmu_load_start_values(const char *resource_location, fmu_start *start, size_t count, char *problem,
                           size_t problem_size);

@@ -1,8 +1,8 @@
 /* Start values and names of a prebuilt binary: the file start_values.bin in the FMU's resources folder.
  *
- * Bytes, all numbers little-endian: "FMUstart", uint32 format 2, uint32 count, GUID in FMU_GUID_SIZE bytes padded by zeros,
- * count times an IEEE 754 double, uint32 size, and in that many bytes count times a name in UTF-8 with a zero behind it,
- * empty for a variable that is not shown.
+ * Bytes, all numbers little-endian: "FMUstart", uint32 format 2, uint32 count, GUID in FMU_GUID_SIZE bytes padded by
+ * zeros, count times an IEEE 754 double, uint32 size, and in that many bytes count times a name in UTF-8 with a zero
+ * behind it, empty for a variable that is not shown.
  */
 #include <stdint.h>
 #include <stdio.h>
@@ -98,7 +98,8 @@ static uint64_t little_endian(const unsigned char *bytes, int count)
     return value;
 }
 
-/* Length of the character of UTF-8 at `c`, which a zero byte ends at the latest; 0 for none, and for control characters. */
+/* Length of the character of UTF-8 at `c`, which a zero byte ends at the latest; 0 for none, and for control
+ * characters. */
 static size_t character(const unsigned char *c)
 {
     static const uint32_t least[] = {0x20, 0xA0, 0x800, 0x10000};
@@ -195,7 +196,8 @@ int fmu_load_start_values(const char *resource_location, fmu_start *start, size_
     const int good = parse(file, start, count);
     fclose(file);
     if (!good) {
-        snprintf(problem, problem_size, "this FMU's start values must be in its resources, found another content of %s", path);
+        snprintf(problem, problem_size, "this FMU's start values must be in its resources, found another content of %s",
+                 path);
         return -1;
     }
     return 0;

@@ -1,5 +1,5 @@
-/* The implicit homogeneous law of any linear model in block coordinates, one sample at a time: the norm, the gains, both
- * discretizations. Included by the units built on it, and compiled for each anew.
+/* The implicit homogeneous law of any linear model in block coordinates, one sample at a time: the norm, the gains,
+ * both discretizations. Included by the units built on it, and compiled for each anew.
  *
  *     z = T x,  z_i' = N_i z_{i+1} (i < k),  z_k' = B_k (u - K_0 x);  coordinate j has the exponent e_j, the number of
  *     blocks behind its own;  r = ||x||_d, eq. (12);  s = r^-mu
@@ -29,19 +29,20 @@ enum {
     COEFFICIENTS = 2 * BLOCK_ORDER - 1
 };
 
-/* A design, prepared for the laws; filled by its user up to Pz, for which P is given, and by prepare_block_design from there. */
+/* A design, prepared for the laws; filled by its user up to Pz, for which P is given, and by prepare_block_design from
+ * there. */
 typedef struct {
-    int n, m;                    /* states, inputs; not used for a chain */
-    int exponents[BLOCK_ORDER];  /* e_j, falling from block to block by 1 to 0; not used for a chain */
-    double T[BLOCK_SQUARE];      /* (n, n) */
-    double N[BLOCK_SQUARE];      /* (n, n), the superdiagonal blocks N_i */
-    double B[BLOCK_GAINS];       /* (n, m), B_k in the last rows */
-    double K[BLOCK_GAINS];       /* (m, n), the linear gain u = K x */
-    double K_0[BLOCK_GAINS];     /* (m, n) */
-    double mu;                   /* minus the degree of homogeneity [1] */
-    double Pz[BLOCK_SQUARE];     /* (n, n), T^-T P T^-1 of the unit ball x' P x <= 1; P until prepared */
-    double Kz[BLOCK_GAINS];      /* (m, n), (K - K_0) T^-1 */
-    double K_0z[BLOCK_GAINS];    /* (m, n), K_0 T^-1 */
+    int n, m;                   /* states, inputs; not used for a chain */
+    int exponents[BLOCK_ORDER]; /* e_j, falling from block to block by 1 to 0; not used for a chain */
+    double T[BLOCK_SQUARE];     /* (n, n) */
+    double N[BLOCK_SQUARE];     /* (n, n), the superdiagonal blocks N_i */
+    double B[BLOCK_GAINS];      /* (n, m), B_k in the last rows */
+    double K[BLOCK_GAINS];      /* (m, n), the linear gain u = K x */
+    double K_0[BLOCK_GAINS];    /* (m, n) */
+    double mu;                  /* minus the degree of homogeneity [1] */
+    double Pz[BLOCK_SQUARE];    /* (n, n), T^-T P T^-1 of the unit ball x' P x <= 1; P until prepared */
+    double Kz[BLOCK_GAINS];     /* (m, n), (K - K_0) T^-1 */
+    double K_0z[BLOCK_GAINS];   /* (m, n), K_0 T^-1 */
 } block_design;
 
 /* c_0 ... c_{2e} of Remark 5's polynomial for the state d(-exponent ln 2) z, e = e_1. */
@@ -173,7 +174,7 @@ static inline double exact_dot(const double *a, const double *b, int n)
     return total + rest;
 }
 
-/* Solve M X = B in place of B (n, columns) by Gaussian elimination with partial pivoting; 0 where M (n, n) is singular. */
+/* Solve M X = B in place of B (n, columns) by Gaussian elimination with partial pivoting; 0: M (n, n) is singular. */
 static inline int solve(double *M, double *B, int n, int columns)
 {
     for (int k = 0; k < n; k++) {
@@ -221,8 +222,8 @@ static inline int solve(double *M, double *B, int n, int columns)
 
 /* ---- Preparation ------------------------------------------------------------------------------------------------- */
 
-/* The size of the first leading block of P (n, n), given by the rows of its upper triangle, that is not positive definite;
- * 0 where none is. */
+/* The size of the first leading block of P (n, n), given by the rows of its upper triangle, that is not positive
+ * definite; 0 where none is. */
 static inline int indefinite_block(const double *upper, int n)
 {
     double P[BLOCK_SQUARE];
@@ -258,7 +259,8 @@ static inline int solve_transposed(const double *T, double *B, int n, int column
     return solve(T_t, B, n, columns);
 }
 
-/* found <- K_0 T^-1 by iterative refinement, for one row: entries that should be 0 would otherwise outweigh fading gains. */
+/* found <- K_0 T^-1 by iterative refinement, for one row: entries that should be 0 would otherwise outweigh fading
+ * gains. */
 static inline void refine(const double *T, const double *row, double *found, int n)
 {
     for (int k = 0; k < REFINEMENTS; k++) {
@@ -328,7 +330,7 @@ static inline int nearest_fourth(double x)
     return (int)floor(clamp(x, -1e6, 1e6) / 4.0 + 0.5);
 }
 
-/* d(-e ln 2) 2^shift z and e, a multiple of 4 near the binary logarithm of the norm; a state that is not finite stays. */
+/* d(-e ln 2) 2^shift z and e, a multiple of 4 near the binary logarithm of the norm; a state not finite stays. */
 static inline int scale(const block_design *d, const double *z, int shift, double *scaled)
 {
     const int n = states_of(d);
@@ -538,8 +540,8 @@ static inline void bisection_update(const block_design *d, const norm_polynomial
 }
 
 /* r in the law, given the exact norm; the interval is brought within bounds that may have been tuned since. */
-static inline double norm_in_law(const block_design *d, const norm_search *search, const norm_polynomial *p, double norm,
-                                 double interval[2])
+static inline double norm_in_law(const block_design *d, const norm_search *search, const norm_polynomial *p,
+                                 double norm, double interval[2])
 {
     if (search->exact) {
         return isnan(norm) ? norm : clamp(norm, search->a_min, search->b_max);
@@ -611,7 +613,8 @@ static inline void explicit_law(const block_design *d, double r, const block_sta
     }
 }
 
-/* f (n) and H (n, m): z at the next sample is f + H v under v = u - K_0 x; f_i = z_i + h N_i f_{i+1}, H_i = h N_i H_{i+1}. */
+/* f (n) and H (n, m): z at the next sample is f + H v under v = u - K_0 x; f_i = z_i + h N_i f_{i+1}, H_i = h N_i
+ * H_{i+1}. */
 static inline void look_ahead(const block_design *d, double h, const double *z, double *f, double *H)
 {
     const int n = states_of(d), m = inputs_of(d);
@@ -670,15 +673,15 @@ static inline void semi_implicit_law(const block_design *d, double r, double h, 
     }
 }
 
-/* 2^shift times a value that was computed of a state taken 2^-shift times, bounded so that none overflows; NaN for NaN. */
+/* 2^shift times a value computed of a state taken 2^-shift times, bounded so that none overflows; NaN for NaN. */
 static inline double unshifted(double value, int shift)
 {
     return shift == 0 || isnan(value) ? value : clamp(value, -MOST, MOST) * (shift > 0 ? LARGE : SMALL);
 }
 
 /*
- * v' = q r^(1-2 mu) K_i d(-ln r) x of the integral action, Kiz = K_i T^-1: q s sum of Kiz_ij s^(e_j + 1) z_j. q is the radial
- * quotient where r is the norm of x (`is_free`); 1 where r is a limit in its place or the law is linear.
+ * v' = q r^(1-2 mu) K_i d(-ln r) x of the integral action, Kiz = K_i T^-1: q s sum of Kiz_ij s^(e_j + 1) z_j. q is the
+ * radial quotient where r is the norm of x (`is_free`); 1 where r is a limit in its place or the law is linear.
  */
 static inline void integrand(const block_design *d, const double *Kiz, double r, const block_state *state, int is_free,
                              double *rates)

@@ -281,9 +281,9 @@ static void next_mode(const regulator_params *p, regulator_state *s)
     s->mode = p->enabled ? REGULATOR_MODE_STABILIZING : REGULATOR_MODE_IDLE;
 }
 
-/* Advance the integral action, but for entries that would push a command farther beyond its limit; 0 where not finite. */
-static int integrate(const regulator_params *p, const regulator_prepared *q, regulator_state *s, const block_state *state,
-                     const double *wanted)
+/* Advance the integral action, but for entries that would push a command farther beyond its limit; 0: not finite. */
+static int integrate(const regulator_params *p, const regulator_prepared *q, regulator_state *s,
+                     const block_state *state, const double *wanted)
 {
     const int m = p->input_count;
     double rates[INPUTS], v[INPUTS];
@@ -291,8 +291,7 @@ static int integrate(const regulator_params *p, const regulator_prepared *q, reg
     const int is_free = p->law != REGULATOR_LAW_LC && q->search.a_min < r && r < q->search.b_max;
     integrand(&q->design, q->Kiz, r, state, is_free, rates);
     for (int i = 0; i < m; i++) {
-        const int winds_up =
-            (wanted[i] > p->upper[i] && rates[i] > 0.0) || (wanted[i] < p->lower[i] && rates[i] < 0.0);
+        const int winds_up = (wanted[i] > p->upper[i] && rates[i] > 0.0) || (wanted[i] < p->lower[i] && rates[i] < 0.0);
         v[i] = winds_up ? s->v[i] : flushed(s->v[i] + p->sample_time * rates[i], LEAST);
     }
     if (!all_finite(v, m)) {
@@ -330,7 +329,8 @@ static int command(const regulator_params *p, const regulator_prepared *q, regul
     for (int i = 0; i < m; i++) {
         s->command[i] = clamp(u[i], p->lower[i], p->upper[i]);
     }
-    return q->integrates && !integrate(p, q, s, state, u) ? fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL) : REGULATOR_OK;
+    return q->integrates && !integrate(p, q, s, state, u) ? fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL)
+                                                          : REGULATOR_OK;
 }
 
 static int sample(const regulator_params *p, const regulator_prepared *q, regulator_state *s, const regulator_inputs *u)

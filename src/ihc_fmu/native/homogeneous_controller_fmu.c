@@ -22,7 +22,8 @@ static int initialize(const void *parameters, const void *prepared, void *state,
     return REGULATOR_OK;
 }
 
-static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+static int step(const void *parameters, const void *prepared, void *state, double time, double length,
+                const void *inputs)
 {
     return regulator_step(parameters, prepared, state, time, length, inputs);
 }
@@ -43,8 +44,9 @@ static void explain_fault(const char *const *names, const regulator_state *s, co
                           size_t size)
 {
     size_t length = 0;
-    length += (size_t)snprintf(text, size, "fault %s: ",
-                               s->fault == REGULATOR_FAULT_NON_FINITE_INPUT ? "non_finite_input" : "non_finite_control");
+    length +=
+        (size_t)snprintf(text, size, "fault %s: ",
+                         s->fault == REGULATOR_FAULT_NON_FINITE_INPUT ? "non_finite_input" : "non_finite_control");
     if (s->fault != REGULATOR_FAULT_NON_FINITE_INPUT) {
         length += (size_t)snprintf(text + length, size - length, "the command is not finite");
     }
@@ -96,8 +98,8 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
                  p->lower[i], p->upper[i]);
         break;
     case REGULATOR_MEASURED_STATES:
-        snprintf(text, size, "states that are measured need as many outputs, found %d states and %d outputs", p->state_count,
-                 p->output_count);
+        snprintf(text, size, "states that are measured need as many outputs, found %d states and %d outputs",
+                 p->state_count, p->output_count);
         break;
     case REGULATOR_ERROR_BOUNDS:
         snprintf(text, size, "q_min must not exceed q_max, found q_min = %g and q_max = %g", p->q_min, p->q_max);

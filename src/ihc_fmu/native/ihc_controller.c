@@ -6,9 +6,9 @@ enum { N = IHC_ORDER };
 
 static const double PI = 3.14159265358979323846;
 static const double TURN = 2.0 * 3.14159265358979323846;
-static const double BIAS_DECAY = 1e-3;         /* rate at which the Kalman filter forgets the bias [1/s] */
-static const double REST_VELOCITY = 0.05;      /* the pendulum counts as at rest below this [rad/s] ... */
-static const double REST_COSINE = -0.999;      /* ... within this of hanging */
+static const double BIAS_DECAY = 1e-3;    /* rate at which the Kalman filter forgets the bias [1/s] */
+static const double REST_VELOCITY = 0.05; /* the pendulum counts as at rest below this [rad/s] ... */
+static const double REST_COSINE = -0.999; /* ... within this of hanging */
 
 /* First-order SMC, u = k x - rho sign(c x). */
 static double sliding_mode(const ihc_params *p, const double x[N])

@@ -23,15 +23,15 @@
 
 typedef enum {
     IHC_OK = 0,
-    IHC_NEW_FAULT,            /* the step worked; the controller has just faulted, see the output `fault` */
-    IHC_INDEFINITE_P,         /* P is not positive definite */
-    IHC_SINGULAR_PHI,         /* Phi is not regular */
-    IHC_CHAIN_NOT_FINITE,     /* Phi, P or the gains are beyond reason */
-    IHC_SINGULAR_MODEL,       /* the nominal inertia matrix is singular in rounding */
-    IHC_LIMITS,               /* a_min exceeds b_max */
-    IHC_ANGLES,               /* capture_angle exceeds fall_back_angle */
-    IHC_KALMAN_TIME           /* the Kalman filter's gain is for another sample time */
-} ihc_status;                 /* and those of sample_clock.h */
+    IHC_NEW_FAULT,        /* the step worked; the controller has just faulted, see the output `fault` */
+    IHC_INDEFINITE_P,     /* P is not positive definite */
+    IHC_SINGULAR_PHI,     /* Phi is not regular */
+    IHC_CHAIN_NOT_FINITE, /* Phi, P or the gains are beyond reason */
+    IHC_SINGULAR_MODEL,   /* the nominal inertia matrix is singular in rounding */
+    IHC_LIMITS,           /* a_min exceeds b_max */
+    IHC_ANGLES,           /* capture_angle exceeds fall_back_angle */
+    IHC_KALMAN_TIME       /* the Kalman filter's gain is for another sample time */
+} ihc_status;             /* and those of sample_clock.h */
 
 /* Parameters, named as in the FMU. */
 typedef struct {
@@ -120,11 +120,11 @@ typedef struct {
     double bias;           /* Kalman filter's estimate [rad] */
     double theta_dot;      /* velocity that the law uses [rad/s] */
     double delta_dot;
-    double turns;          /* whole turns by which the measured delta has been unwrapped */
-    int32_t primed;        /* whether the estimators have seen a finite measurement */
+    double turns;   /* whole turns by which the measured delta has been unwrapped */
+    int32_t primed; /* whether the estimators have seen a finite measurement */
     int32_t mode;
     int32_t fault;
-    int32_t bad_inputs;    /* bit i: input i was not finite when the fault came */
+    int32_t bad_inputs; /* bit i: input i was not finite when the fault came */
 } ihc_state;
 
 /* Compute what follows from the parameters; refuses those that contradict each other. */

@@ -22,7 +22,8 @@ static int initialize(const void *parameters, const void *prepared, void *state,
     return IHC_OK;
 }
 
-static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+static int step(const void *parameters, const void *prepared, void *state, double time, double length,
+                const void *inputs)
 {
     return ihc_step(parameters, prepared, state, time, length, inputs);
 }
@@ -50,7 +51,8 @@ static void explain_fault(const char *const *names, const ihc_state *s, const ih
     for (int i = 0; i < 5 && s->fault == IHC_FAULT_NON_FINITE_INPUT; i++) {
         if (s->bad_inputs & 1 << i) {
             const char *value = isnan(values[i]) ? "nan" : values[i] > 0.0 ? "inf" : "-inf"; /* on every platform */
-            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "", inputs[i], value);
+            length += snprintf(cause + length, sizeof cause - (size_t)length, "%s%s = %s", length ? ", " : "",
+                               inputs[i], value);
         }
     }
     snprintf(text, size, "fault %s: %s; the voltage is 0 V until reset",
@@ -78,10 +80,11 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
         snprintf(text, size, "Phi, P, k_lin and row must be of moderate size, found a chain form that is not finite");
         break;
     case IHC_SINGULAR_MODEL:
-        snprintf(text, size,
-                 "the square of nominal_coupling must be below nominal_arm_inertia times nominal_pendulum_inertia, found "
-                 "%g, %g and %g kg.m2",
-                 p->nominal_coupling, p->nominal_arm_inertia, p->nominal_pendulum_inertia);
+        snprintf(
+            text, size,
+            "the square of nominal_coupling must be below nominal_arm_inertia times nominal_pendulum_inertia, found "
+            "%g, %g and %g kg.m2",
+            p->nominal_coupling, p->nominal_arm_inertia, p->nominal_pendulum_inertia);
         break;
     case IHC_LIMITS:
         snprintf(text, size, "a_min must not exceed b_max, found a_min = %g and b_max = %g", p->a_min, p->b_max);

@@ -1,5 +1,6 @@
-/* The sample clock of a controller: it samples at multiples of its sample time from the start on, and holds its commands
- * in between; a communication step that is longer runs the samples that fall in on held inputs. `sampled_unit.py` in C.
+/* The sample clock of a controller: it samples at multiples of its sample time from the start on, and holds its
+ * commands in between; a communication step that is longer runs the samples that fall in on held inputs.
+ * `sampled_unit.py` in C.
  */
 #ifndef SAMPLE_CLOCK_H
 #define SAMPLE_CLOCK_H
@@ -31,7 +32,7 @@ static inline int check_step(double sample_time, double step)
     return fabs(ratio - nearbyint(ratio)) <= 1e-6 * ratio ? CLOCK_OK : CLOCK_STEP_NOT_MULTIPLE; /* also for NaN */
 }
 
-/* The index of the last sample instant within `step` [s] from `time` [s] on, at most MOST_SAMPLES beyond the next one. */
+/* The index of the last sample instant within `step` [s] from `time` [s] on, at most MOST_SAMPLES beyond the next. */
 static inline int samples_until(const sample_clock *clock, double sample_time, double time, double step, double *last)
 {
     const double samples = step / sample_time;

@@ -15,10 +15,11 @@ static inline fmu_severity explain_clock(int status, const sample_clock *clock, 
                  length, sample_time);
         return FMU_WARNING;
     case CLOCK_STEP_NOT_MULTIPLE:
-        snprintf(text, size,
-                 "sample_time must be a multiple of the communication step, or the step of it, found sample_time = %g s and "
-                 "a communication step of %g s",
-                 sample_time, length);
+        snprintf(
+            text, size,
+            "sample_time must be a multiple of the communication step, or the step of it, found sample_time = %g s and "
+            "a communication step of %g s",
+            sample_time, length);
         break;
     case CLOCK_SAMPLE_MISSED:
         snprintf(text, size, "sample %lld of sample_time = %g s was stepped over", (long long)clock->next_sample,

@@ -146,8 +146,8 @@ static void integrate(square phi, const double B[LINEAR_STATES][LINEAR_INPUTS], 
     }
 }
 
-int linear_hold_inputs(const double A[LINEAR_STATES][LINEAR_STATES], const double B[LINEAR_STATES][LINEAR_INPUTS], int n,
-                       int m, double h, linear_held *held)
+int linear_hold_inputs(const double A[LINEAR_STATES][LINEAR_STATES], const double B[LINEAR_STATES][LINEAR_INPUTS],
+                       int n, int m, double h, linear_held *held)
 {
     square X = {{0.0}}, phi = {{0.0}};
     int exponents[LINEAR_STATES];

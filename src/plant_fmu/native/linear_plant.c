@@ -178,7 +178,6 @@ void linear_tangent(const linear_params *p, const linear_inputs *u, const double
     }
     for (int i = 0; i < p->state_count; i++) {
         dy->state[i] = dx[i];
-        dy->derivative[i] =
-            add_products(add_products(0.0, p->A[i], dx, p->state_count), p->B[i], dw, p->input_count);
+        dy->derivative[i] = add_products(add_products(0.0, p->A[i], dx, p->state_count), p->B[i], dw, p->input_count);
     }
 }

@@ -2,8 +2,9 @@
  *
  *     x' = A (x - x_eq) + B w,   y = y_eq + C (x - x_eq),   w = min(upper, max(lower, u + d)) - u_eq,
  *
- * and measured is r floor((y + bias)/r + offset), or y + bias where the resolution r is 0. Pure functions of their arguments:
- * no allocation, no globals, no input or output, every loop bounded. The order of operations is that of the Python twin.
+ * and measured is r floor((y + bias)/r + offset), or y + bias where the resolution r is 0. Pure functions of their
+ * arguments: no allocation, no globals, no input or output, every loop bounded. The order of operations is that of the
+ * Python twin.
  */
 #ifndef LINEAR_PLANT_H
 #define LINEAR_PLANT_H
@@ -28,21 +29,21 @@ typedef enum {
 
 /* Parameters, named as in the compiled interface; only the leading entries count, as many as the sizes tell. */
 typedef struct {
-    int state_count;                              /* n, 1..LINEAR_STATES */
-    int input_count;                              /* m, 1..LINEAR_INPUTS */
-    int output_count;                             /* p, 1..LINEAR_OUTPUTS */
-    double A[LINEAR_STATES][LINEAR_STATES];       /* [1/s and units of the states] */
-    double B[LINEAR_STATES][LINEAR_INPUTS];       /* [1/s and units of states and inputs] */
-    double C[LINEAR_OUTPUTS][LINEAR_STATES];      /* [units of outputs and states] */
-    double state_equilibrium[LINEAR_STATES];      /* x_eq */
-    double input_equilibrium[LINEAR_INPUTS];      /* u_eq */
-    double output_equilibrium[LINEAR_OUTPUTS];    /* y_eq */
-    double initial_state[LINEAR_STATES];          /* x at the start */
-    double lower[LINEAR_INPUTS];                  /* limits of the inputs */
+    int state_count;                           /* n, 1..LINEAR_STATES */
+    int input_count;                           /* m, 1..LINEAR_INPUTS */
+    int output_count;                          /* p, 1..LINEAR_OUTPUTS */
+    double A[LINEAR_STATES][LINEAR_STATES];    /* [1/s and units of the states] */
+    double B[LINEAR_STATES][LINEAR_INPUTS];    /* [1/s and units of states and inputs] */
+    double C[LINEAR_OUTPUTS][LINEAR_STATES];   /* [units of outputs and states] */
+    double state_equilibrium[LINEAR_STATES];   /* x_eq */
+    double input_equilibrium[LINEAR_INPUTS];   /* u_eq */
+    double output_equilibrium[LINEAR_OUTPUTS]; /* y_eq */
+    double initial_state[LINEAR_STATES];       /* x at the start */
+    double lower[LINEAR_INPUTS];               /* limits of the inputs */
     double upper[LINEAR_INPUTS];
-    double resolution[LINEAR_OUTPUTS];            /* r: step of a counting sensor, 0 for none */
-    double resolution_offset[LINEAR_OUTPUTS];     /* where inside a step it was zeroed [1] */
-    double bias[LINEAR_OUTPUTS];                  /* of a sensor */
+    double resolution[LINEAR_OUTPUTS];        /* r: step of a counting sensor, 0 for none */
+    double resolution_offset[LINEAR_OUTPUTS]; /* where inside a step it was zeroed [1] */
+    double bias[LINEAR_OUTPUTS];              /* of a sensor */
 } linear_params;
 
 typedef struct {
@@ -79,7 +80,7 @@ void linear_get_outputs(const linear_params *p, const linear_state *s, linear_ou
 /* Model exchange: take the inputs as held from now on. */
 linear_status linear_hold(const linear_params *p, linear_state *s, const linear_inputs *u);
 
-/* Derivative of linear_hold and linear_get_outputs in the direction (dx, du); a counting sensor's output is constant. */
+/* Derivative of linear_hold and linear_get_outputs in the direction (dx, du); a counting sensor is constant. */
 void linear_tangent(const linear_params *p, const linear_inputs *u, const double dx[LINEAR_STATES],
                     const linear_inputs *du, linear_outputs *dy);
 

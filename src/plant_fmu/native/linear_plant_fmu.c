@@ -24,7 +24,8 @@ static int initialize(const void *parameters, const void *prepared, void *state,
     return (int)linear_initialize(parameters, state);
 }
 
-static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+static int step(const void *parameters, const void *prepared, void *state, double time, double length,
+                const void *inputs)
 {
     (void)prepared;
     (void)time;
@@ -61,8 +62,8 @@ static int hold(const void *parameters, const void *prepared, void *state, const
     return (int)linear_hold(parameters, state, inputs);
 }
 
-static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs, const double *dx,
-                    const void *dinputs, void *doutputs)
+static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs,
+                    const double *dx, const void *dinputs, void *doutputs)
 {
     (void)prepared;
     (void)state;
@@ -98,7 +99,8 @@ static void explain_limits(const linear_params *p, const char *const *names, cha
     }
 }
 
-static void explain_inputs(const linear_params *p, const linear_inputs *u, const char *const *names, char *text, size_t size)
+static void explain_inputs(const linear_params *p, const linear_inputs *u, const char *const *names, char *text,
+                           size_t size)
 {
     for (int j = 0; j < p->input_count; j++) {
         if (!linear_acts(p, u, j)) {
@@ -126,7 +128,8 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
         break;
     case LINEAR_STEP_TOO_LONG:
         snprintf(text, size,
-                 "a communication step must be shorter for the plant's fastest mode to be computed, found %g s", length);
+                 "a communication step must be shorter for the plant's fastest mode to be computed, found %g s",
+                 length);
         break;
     default:
         explain_state("the state left the range of numbers,", s->x, p->state_count, " before the step", text, size);

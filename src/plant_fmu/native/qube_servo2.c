@@ -51,7 +51,8 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
     const double r_1 = j_11 * rate[2] + j_12 * rate[3];
     const double r_2 = pendulum_torque + sk * v * v - e->D_p * w + e->gravity * s;
     const double dtau = inductance ? c->k_m * dx[4] : c->k_m * (dvoltage - c->k_e * dv) / c->R_m;
-    const double slow = fabs(v) + PENDULUM_FRICTION_SPEED, slope = e->D_r + e->T_r * PENDULUM_FRICTION_SPEED / (slow * slow);
+    const double slow = fabs(v) + PENDULUM_FRICTION_SPEED,
+                 slope = e->D_r + e->T_r * PENDULUM_FRICTION_SPEED / (slow * slow);
     const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + slope) * dv
         - e->varpi_2 * (ds * w * w + 2.0 * s * w * dw);
     const double dr_2 = dtorque + dsk * v * v + 2.0 * sk * v * dv - e->D_p * dw + e->gravity * ds;
@@ -239,7 +240,8 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
     y->delta_dot = s->x[3];
     y->theta_encoder = s->delay_line[s->oldest][0];
     y->delta_encoder = s->delay_line[s->oldest][1];
-    y->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
+    y->current =
+        p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
     y->motor_torque = c.k_m * y->current;
     y->energy = pendulum_energy(&c.pendulum, y->delta, y->theta_dot, y->delta_dot);
     y->theta_ddot = rate[2];

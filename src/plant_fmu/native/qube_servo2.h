@@ -80,15 +80,15 @@ typedef struct {
 
 /* Everything that changes during a run. */
 typedef struct {
-    double x[QUBE_STATES];                     /* theta, delta, theta', delta' and, with inductance, the current */
-    double applied_voltage;                    /* held over the last step, within the limit [V] */
-    double applied_torque;                     /* on the pendulum joint, held over the last step [N.m] */
-    double delayed_step;                       /* communication step that the delay is counted in, 0 before [s] */
-    uint64_t random_state;                     /* of the measurement noise */
-    int32_t delay_steps;                       /* measurement_delay in communication steps */
-    int32_t oldest;                            /* index of the oldest entry of the delay line */
-    int32_t count;                             /* entries in the delay line */
-    double delay_line[QUBE_MAX_DELAY + 1][2];  /* measured theta, delta [rad] */
+    double x[QUBE_STATES];                    /* theta, delta, theta', delta' and, with inductance, the current */
+    double applied_voltage;                   /* held over the last step, within the limit [V] */
+    double applied_torque;                    /* on the pendulum joint, held over the last step [N.m] */
+    double delayed_step;                      /* communication step that the delay is counted in, 0 before [s] */
+    uint64_t random_state;                    /* of the measurement noise */
+    int32_t delay_steps;                      /* measurement_delay in communication steps */
+    int32_t oldest;                           /* index of the oldest entry of the delay line */
+    int32_t count;                            /* entries in the delay line */
+    double delay_line[QUBE_MAX_DELAY + 1][2]; /* measured theta, delta [rad] */
 } qube_state;
 
 /* What eq. (5) and the motor consist of. */
@@ -121,7 +121,7 @@ int qube_state_count(const qube_params *p);
 /* Model exchange: take the inputs as held from now on, and measure the angles again, without noise or delay. */
 qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u);
 
-/* Derivative of qube_hold and qube_get_outputs in the direction (dx, du); encoders count as constant where they count. */
+/* Derivative of qube_hold and qube_get_outputs in the direction (dx, du); encoders are constant where they count. */
 void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *u, const double dx[QUBE_STATES],
                   const qube_inputs *du, qube_outputs *dy);
 

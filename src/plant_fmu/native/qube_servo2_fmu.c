@@ -24,7 +24,8 @@ static int initialize(const void *parameters, const void *prepared, void *state,
     return (int)qube_initialize(parameters, state);
 }
 
-static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+static int step(const void *parameters, const void *prepared, void *state, double time, double length,
+                const void *inputs)
 {
     (void)prepared;
     (void)time;
@@ -59,8 +60,8 @@ static int hold(const void *parameters, const void *prepared, void *state, const
     return (int)qube_hold(parameters, state, inputs);
 }
 
-static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs, const double *dx,
-                       const void *dinputs, void *doutputs)
+static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs,
+                    const double *dx, const void *dinputs, void *doutputs)
 {
     (void)prepared;
     qube_tangent(parameters, state, inputs, dx, dinputs, doutputs);
@@ -86,19 +87,20 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
     const qube_inputs *u = inputs;
     switch (status) {
     case QUBE_OUTPUT_NOT_FINITE:
-        snprintf(text, size, "start values must give finite outputs, found x = (%g, %g, %g, %g)", p->theta_0, p->delta_0,
-                 p->theta_dot_0, p->delta_dot_0);
+        snprintf(text, size, "start values must give finite outputs, found x = (%g, %g, %g, %g)", p->theta_0,
+                 p->delta_0, p->theta_dot_0, p->delta_dot_0);
         break;
     case QUBE_SINGULAR:
-        snprintf(text, size,
-                 "J_p and J_r must not vanish beside the pendulum's mass, found J_p = %g kg.m2, J_r = %g kg.m2 and m_p = "
-                 "%g kg",
-                 p->J_p, p->J_r, p->m_p);
+        snprintf(
+            text, size,
+            "J_p and J_r must not vanish beside the pendulum's mass, found J_p = %g kg.m2, J_r = %g kg.m2 and m_p = "
+            "%g kg",
+            p->J_p, p->J_r, p->m_p);
         break;
     case QUBE_INPUT_NOT_FINITE:
-        snprintf(text, size,
-                 "inputs must be finite, found %s, %s, %s = (%.17g, %.17g, %.17g)", names[VR_voltage],
-                 names[VR_disturbance_voltage], names[VR_pendulum_torque], u->voltage, u->disturbance_voltage, u->pendulum_torque);
+        snprintf(text, size, "inputs must be finite, found %s, %s, %s = (%.17g, %.17g, %.17g)", names[VR_voltage],
+                 names[VR_disturbance_voltage], names[VR_pendulum_torque], u->voltage, u->disturbance_voltage,
+                 u->pendulum_torque);
         break;
     case QUBE_DELAY_NOT_MULTIPLE:
         snprintf(text, size,
@@ -106,8 +108,7 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
                  p->measurement_delay, length);
         break;
     case QUBE_DELAY_TOO_LONG:
-        snprintf(text, size,
-                 "measurement_delay must not exceed %d communication steps, found %g s with a step of %g s",
+        snprintf(text, size, "measurement_delay must not exceed %d communication steps, found %g s with a step of %g s",
                  (int)QUBE_MAX_DELAY, p->measurement_delay, length);
         break;
     case QUBE_STEP_CHANGED:
@@ -120,9 +121,8 @@ static fmu_severity explain(int status, const char *const *names, const void *pa
                  (int)QUBE_MAX_SUBSTEPS, p->solver_step, length);
         break;
     default:
-        snprintf(text, size,
-                 "the state left the range of numbers, x = (%.9g, %.9g, %.9g, %.9g, %.9g) before the step", s->x[0], s->x[1],
-                 s->x[2], s->x[3], s->x[4]);
+        snprintf(text, size, "the state left the range of numbers, x = (%.9g, %.9g, %.9g, %.9g, %.9g) before the step",
+                 s->x[0], s->x[1], s->x[2], s->x[3], s->x[4]);
     }
     return FMU_REFUSED;
 }

@@ -3,9 +3,9 @@
  *
  *     J(q) q'' + C(q, q') q' + w(q) = [tau, tau_p]',   q = [theta, delta]',   delta = 0 upright,
  *
- * zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r, and D_r + T_r/(|theta'| + v_s) in place of D_r. Pure functions of
- * their arguments in the order of operations of the Python twin; static, so that several units that are made of them can be
- * parts of one program.
+ * zeta = m_p L_p^2, psi = m_p L_r^2, varpi = m_p L_p L_r, and D_r + T_r/(|theta'| + v_s) in place of D_r. Pure
+ * functions of their arguments in the order of operations of the Python twin; static, so that several units that are
+ * made of them can be parts of one program.
  */
 #ifndef ROTARY_PENDULUM_H
 #define ROTARY_PENDULUM_H
@@ -37,8 +37,9 @@ static inline int pendulum_is_regular(const pendulum_coefficients *c)
 }
 
 /* Solve eq. (5) for theta'', delta'' [rad/s2]. */
-static inline void pendulum_accelerations(const pendulum_coefficients *c, double delta, double theta_dot, double delta_dot,
-                                          double tau, double tau_p, double *theta_ddot, double *delta_ddot)
+static inline void pendulum_accelerations(const pendulum_coefficients *c, double delta, double theta_dot,
+                                          double delta_dot, double tau, double tau_p, double *theta_ddot,
+                                          double *delta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
     const double damping = c->D_r + c->T_r / (fabs(theta_dot) + PENDULUM_FRICTION_SPEED);
@@ -53,8 +54,8 @@ static inline void pendulum_accelerations(const pendulum_coefficients *c, double
 }
 
 /* The torque [N.m] under which the arm accelerates by theta_ddot, tau_p = 0: eq. (5) inverted. */
-static inline double pendulum_arm_torque(const pendulum_coefficients *c, double delta, double theta_dot, double delta_dot,
-                                         double theta_ddot)
+static inline double pendulum_arm_torque(const pendulum_coefficients *c, double delta, double theta_dot,
+                                         double delta_dot, double theta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
     const double damping = c->D_r + c->T_r / (fabs(theta_dot) + PENDULUM_FRICTION_SPEED);

@@ -5,14 +5,14 @@
 
 #include "fmi2FunctionTypes.h"
 
-#define DECLARE(unit) \
-    extern fmi2InstantiateTYPE unit##_fmi2Instantiate; \
-    extern fmi2SetupExperimentTYPE unit##_fmi2SetupExperiment; \
-    extern fmi2EnterInitializationModeTYPE unit##_fmi2EnterInitializationMode; \
-    extern fmi2ExitInitializationModeTYPE unit##_fmi2ExitInitializationMode; \
-    extern fmi2SetRealTYPE unit##_fmi2SetReal; \
-    extern fmi2GetRealTYPE unit##_fmi2GetReal; \
-    extern fmi2DoStepTYPE unit##_fmi2DoStep; \
+#define DECLARE(unit)                                                                                                  \
+    extern fmi2InstantiateTYPE unit##_fmi2Instantiate;                                                                 \
+    extern fmi2SetupExperimentTYPE unit##_fmi2SetupExperiment;                                                         \
+    extern fmi2EnterInitializationModeTYPE unit##_fmi2EnterInitializationMode;                                         \
+    extern fmi2ExitInitializationModeTYPE unit##_fmi2ExitInitializationMode;                                           \
+    extern fmi2SetRealTYPE unit##_fmi2SetReal;                                                                         \
+    extern fmi2GetRealTYPE unit##_fmi2GetReal;                                                                         \
+    extern fmi2DoStepTYPE unit##_fmi2DoStep;                                                                           \
     extern fmi2FreeInstanceTYPE unit##_fmi2FreeInstance;
 
 DECLARE(QubeServo2)

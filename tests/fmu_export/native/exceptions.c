@@ -1,11 +1,12 @@
-/* A host that unmasks floating-point exceptions, as those in Delphi, Ada or LabVIEW do: the first invalid operation, division
- * by zero or overflow ends it by SIGFPE.
+/* A host that unmasks floating-point exceptions, as those in Delphi, Ada or LabVIEW do: the first invalid operation,
+ * division by zero or overflow ends it by SIGFPE.
  *
  *     exceptions BINARY RESOURCE_URI GUID OUTPUT INPUT... < CASES
  *
  * OUTPUT and INPUT are value references, of a Real output and of all inputs. Standard input: lines "case NAME", "int
- * REFERENCE VALUE", "real REFERENCE VALUE" (start values), then "row U_0 U_1 ...", one per step of 1 ms; "end" runs the case. The first row
- * is set after the first step: in initialization inputs are left at 0. Prints the case's name before it runs.
+ * REFERENCE VALUE", "real REFERENCE VALUE" (start values), then "row U_0 U_1 ...", one per step of 1 ms; "end" runs the
+ * case. The first row is set after the first step: in initialization inputs are left at 0. Prints the case's name
+ * before it runs.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>

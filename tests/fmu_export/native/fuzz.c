@@ -3,7 +3,8 @@
  *     fuzz RESOURCE_URI GUID SEED CALLS LARGEST forge|honest
  *
  * LARGEST bounds finite numbers among the arguments. With `forge` damaged bytes of a state have the right checksum. The
- * same arguments give the same calls. Prints per function how many calls succeeded; it is for sanitizers to find faults.
+ * same arguments give the same calls. Prints per function how many calls succeeded; it is for sanitizers to find
+ * faults.
  */
 #include <math.h>
 #include <stdarg.h>
@@ -80,7 +81,8 @@ static void take_message(fmi2ComponentEnvironment environment, fmi2String name, 
     va_start(arguments, message);
     vsnprintf(text, sizeof text, message, arguments);
     va_end(arguments);
-    if (strlen(name) == 0 || strlen(category) == 0 || strlen(text) == 0 || (status != fmi2Warning && status < fmi2Discard)) {
+    if (strlen(name) == 0 || strlen(category) == 0 || strlen(text) == 0
+        || (status != fmi2Warning && status < fmi2Discard)) {
         abort();
     }
     messages++;
@@ -296,7 +298,8 @@ static fmi2Status ask(fmi2Component c)
 static fmi2Status experiment(fmi2Component c)
 {
     const double start = below(4) ? 0.0 : number();
-    return fmi2SetupExperiment(c, (fmi2Boolean)below(2), number(), start, (fmi2Boolean)below(2), below(4) ? 1e3 : number());
+    return fmi2SetupExperiment(c, (fmi2Boolean)below(2), number(), start, (fmi2Boolean)below(2),
+                               below(4) ? 1e3 : number());
 }
 
 static void begin(slot *s, const char *location, const char *guid)
@@ -325,18 +328,40 @@ static void end(slot *s)
 }
 
 enum {
-    SETUP, ENTER, EXIT, STEP, VARIABLES, DERIVATIVE, CONTINUOUS, ASK, GET_STATE, SET_STATE, FREE_STATE, BYTES, RESET, TERMINATE,
-    EVENT_MODE, NEW_DISCRETE, CONTINUOUS_MODE, COMPLETED, SET_TIME, LOGGING, CANCEL, REBIRTH, STRANGE, OPERATIONS
+    SETUP,
+    ENTER,
+    EXIT,
+    STEP,
+    VARIABLES,
+    DERIVATIVE,
+    CONTINUOUS,
+    ASK,
+    GET_STATE,
+    SET_STATE,
+    FREE_STATE,
+    BYTES,
+    RESET,
+    TERMINATE,
+    EVENT_MODE,
+    NEW_DISCRETE,
+    CONTINUOUS_MODE,
+    COMPLETED,
+    SET_TIME,
+    LOGGING,
+    CANCEL,
+    REBIRTH,
+    STRANGE,
+    OPERATIONS
 };
 
 static const char *const NAMES[OPERATIONS] = {
-    "setup", "enter", "exit", "step", "variables", "derivative", "continuous", "ask", "get_state", "set_state", "free_state",
-    "bytes", "reset", "terminate", "event_mode", "new_discrete", "continuous_mode", "completed", "set_time", "logging",
-    "cancel", "rebirth", "strange"
-};
+    "setup",           "enter",     "exit",       "step",    "variables", "derivative", "continuous", "ask",
+    "get_state",       "set_state", "free_state", "bytes",   "reset",     "terminate",  "event_mode", "new_discrete",
+    "continuous_mode", "completed", "set_time",   "logging", "cancel",    "rebirth",    "strange"};
 
 /* How often each is called, in 1000. */
-static const unsigned WEIGHTS[OPERATIONS] = {40, 60, 60, 250, 200, 30, 100, 20, 20, 20, 5, 30, 10, 3, 20, 10, 40, 20, 20, 5, 2, 3, 32};
+static const unsigned WEIGHTS[OPERATIONS] = {40, 60, 60, 250, 200, 30, 100, 20, 20, 20, 5, 30,
+                                             10, 3,  20, 10,  40,  20, 20,  5,  2,  3,  32};
 
 static unsigned operation(void)
 {

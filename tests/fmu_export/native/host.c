@@ -4,8 +4,8 @@
  *
  * INPUTS is the number of inputs; INPUT... and OUTPUT... are value references, of all inputs and of Real outputs.
  * After every 100 of 1000 steps of 1 ms a line with the outputs follows; last one with what is loaded and looks like
- * Python. The second half is repeated from a saved state and in another instance from a serialized one, everything after
- * a reset: the exit code is 1 with a message where these differ or where a call fails.
+ * Python. The second half is repeated from a saved state and in another instance from a serialized one, everything
+ * after a reset: the exit code is 1 with a message where these differ or where a call fails.
  */
 #include <stdarg.h>
 #include <stdio.h>

@@ -69,7 +69,8 @@ void tanks_tangent(const tanks_params *p, const tanks_inputs *u, const double dx
     double flow[TANKS_PUMPS];
     memset(dy, 0, sizeof *dy);
     for (int j = 0; j < TANKS_PUMPS; j++) {
-        flow[j] = p->strategy == TANKS_STRATEGY_FREE && u->flow[j] >= p->low && u->flow[j] <= p->high ? du->flow[j] : 0.0;
+        flow[j] =
+            p->strategy == TANKS_STRATEGY_FREE && u->flow[j] >= p->low && u->flow[j] <= p->high ? du->flow[j] : 0.0;
     }
     for (int i = 0; i < p->count; i++) {
         dy->level[i] = dx[i];

@@ -1,4 +1,5 @@
-/* Up to 16 tanks that up to 8 pumps fill: level_i' = -rate_i level_i + sum_j gain_ij flow_j, each flow within [low, high].
+/* Up to 16 tanks that up to 8 pumps fill: level_i' = -rate_i level_i + sum_j gain_ij flow_j, each flow within [low,
+ * high].
  *
  * A unit with as many variables as there may be, of which an FMU shows some.
  */
@@ -10,13 +11,13 @@
 typedef enum { TANKS_OK = 0, TANKS_LIMITS, TANKS_FLOW_NOT_FINITE } tanks_status;
 
 typedef struct {
-    int count;                             /* of tanks */
-    int strategy;                          /* TANKS_STRATEGY_FREE: flows as they are, or none */
-    double low, high;                      /* limits of a flow [m3/s] */
-    double rate[TANKS_MOST];               /* [1/s] */
-    double gain[TANKS_MOST][TANKS_PUMPS];  /* [1/m2] */
-    double begin[TANKS_MOST];              /* level at the start [m] */
-    int kinds[TANKS_MOST];                 /* factors of the total */
+    int count;                            /* of tanks */
+    int strategy;                         /* TANKS_STRATEGY_FREE: flows as they are, or none */
+    double low, high;                     /* limits of a flow [m3/s] */
+    double rate[TANKS_MOST];              /* [1/s] */
+    double gain[TANKS_MOST][TANKS_PUMPS]; /* [1/m2] */
+    double begin[TANKS_MOST];             /* level at the start [m] */
+    int kinds[TANKS_MOST];                /* factors of the total */
     double chart[TANKS_CHART][TANKS_CHART];
 } tanks_params;
 

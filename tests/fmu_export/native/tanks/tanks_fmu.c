@@ -25,7 +25,8 @@ static int initialize(const void *parameters, const void *prepared, void *state,
     return TANKS_OK;
 }
 
-static int step(const void *parameters, const void *prepared, void *state, double time, double length, const void *inputs)
+static int step(const void *parameters, const void *prepared, void *state, double time, double length,
+                const void *inputs)
 {
     (void)prepared;
     (void)time;
@@ -62,8 +63,8 @@ static int hold(const void *parameters, const void *prepared, void *state, const
     return (int)tanks_hold(parameters, state, inputs);
 }
 
-static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs, const double *dx,
-                    const void *dinputs, void *doutputs)
+static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs,
+                    const double *dx, const void *dinputs, void *doutputs)
 {
     (void)prepared;
     (void)state;
