@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo paper test lint versions bench clean
+.PHONY: demo paper test lint docs versions bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
@@ -18,6 +18,10 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+docs: $(VENV)/installed   ## the site, in build/site; a warning fails it
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --conf-dir docs --doctree-dir build/site-cache . build/site
+	@echo "build/site/index.html"
 
 versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
 	$(BIN)/python -m tests.environments

@@ -16,9 +16,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import typer.main
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from cosim.cli import app
 from cosim.cli.display import change_text, estimate_text
 from cosim.draws import Estimate
 from cosim.hil.faults import KINDS
@@ -72,6 +74,46 @@ def _limits(v: Variable) -> str:
     if v.min is None and v.max is None:
         return ""
     return f"{'' if v.min is None else f'{v.min:g}'} ... {'' if v.max is None else f'{v.max:g}'}".strip()
+
+
+def command_line() -> str:
+    """Return command_line.md: every command with its arguments and options."""
+    program: Any = typer.main.get_command(app)
+    parts = [
+        "# Command line\n\nMade by `docs/make_tables.py` of what `qube-ihc COMMAND --help` says. `python -m cosim` is the "
+        "same program.\n",
+        _parameters(program),
+        "How a command ends, with which exit code and what is left, is told in "
+        "[Co-simulation](cosimulation.md#how-a-command-ends).\n",
+    ]
+    for name, command in program.commands.items():
+        arguments = [_argument(p) for p in command.params if p.param_type_name == "argument"]
+        usage = " ".join(["qube-ihc", name, "[OPTIONS]", *arguments])
+        parts += [f"## `{name}`\n\n{command.help}\n\n    {usage}\n", _parameters(command)]
+    return "\n".join(parts)
+
+
+def _parameters(command: Any) -> str:
+    lines = ["| | default | meaning |", "|---|---|---|"]
+    for p in command.params:
+        if p.param_type_name == "argument":
+            names, default = f"`{_argument(p)}`", "required" if p.required else _default(p.default)
+        else:
+            value = "" if p.metavar is None else f" {p.metavar}"
+            names = ", ".join(f"`{flag}{value}`" for flag in (*p.opts, *p.secondary_opts))
+            default = _default(p.default)
+        lines.append(f"| {names} | {default} | {_plain(p.help or '')} |")
+    return "\n".join(lines) + "\n"
+
+
+def _argument(parameter: Any) -> str:
+    return parameter.name.upper() + (" ..." if parameter.nargs == -1 else "")
+
+
+def _default(value: Any) -> str:
+    if value in (None, False, ""):
+        return ""
+    return "on" if value is True else f"`{getattr(value, 'value', value)}`"
 
 
 def scenario_entries() -> str:
@@ -179,6 +221,7 @@ def rendered() -> dict[Path, str]:
     """Return each file's whole text, as it should be."""
     return {
         DOCS / "variables.md": variables(),
+        DOCS / "command_line.md": command_line(),
         DOCS / "cosimulation.md": _between(
             _with_table("cosimulation.md", "scenario entries", scenario_entries()), "metrics", metrics()
         ),

@@ -17,7 +17,8 @@ from ihc_fmu.pendulum.start_values import default_design
 from ihc_fmu.system import ENTRIES
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "fmus/README.md")]
+PAGES += sorted((ROOT / "docs").glob("*.md"))
 
 
 def load(name):
