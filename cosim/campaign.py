@@ -21,6 +21,7 @@ import cosim
 import fmu_export
 import ihc_fmu
 import plant_fmu
+from fmu_export.files import FilePath
 from fmu_export.reading import first_bytes, read_bytes
 
 from . import parameter_files
@@ -52,12 +53,12 @@ class Job(Generic[K]):
 
     key: K
     scenario: Scenario
-    folder: Path | None = None
+    folder: FilePath | None = None
 
 
 def run_all(
     jobs: Sequence[Job[K]],
-    fmus: Path,
+    fmus: FilePath,
     finish: Callable[[Result], T],
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -75,7 +76,7 @@ def run_all(
     """
     if len({job.key for job in jobs}) < len(jobs):
         raise ValueError("two jobs of a campaign have the same key")
-    fmus = fmus.absolute()  # FMPy changes the folder of the whole process while it loads a library
+    fmus = Path(fmus).absolute()  # FMPy changes the folder of the whole process while it loads a library
     jobs = [_anchored(job) for job in jobs]
     stop = threading.Event()
 
@@ -119,7 +120,7 @@ def _anchored(job: Job[K]) -> Job[K]:
     parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
     if parameters is not None:
         job = replace(job, scenario=job.scenario.changed({"plant.parameters": str(parameters.absolute())}))
-    return replace(job, folder=None if job.folder is None else job.folder.absolute())
+    return replace(job, folder=None if job.folder is None else Path(job.folder).absolute())
 
 
 class Journal:
@@ -195,7 +196,7 @@ class Journal:
             file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)", (digest, text, _checksum(digest, text)))
             file.execute("DELETE FROM claims WHERE digest = ?", (digest,))
 
-    def digest(self, job: Job[Any], fmus: Path) -> str:
+    def digest(self, job: Job[Any], fmus: FilePath) -> str:
         """Return what the job's numbers are kept under: a hash of purpose, code, versions, scenario, FMUs and files."""
         about = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
         about.update(job.scenario.model_dump_json().encode())
@@ -291,7 +292,7 @@ def counted(numbers: Numbers, name: str) -> float:
 
 def run_numbers(
     jobs: Sequence[Job[K]],
-    fmus: Path,
+    fmus: FilePath,
     evaluate: Callable[[Result], Numbers],
     journal: Journal,
     workers: int | None = None,

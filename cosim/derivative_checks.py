@@ -64,14 +64,19 @@ def check_smooth(found: Jacobian, sizes: Array, rows: Sequence[str], columns: Se
         )
 
 
-def check_contradiction(J: Array, found: Jacobian, sizes: Array, rows: Sequence[str], columns: Sequence[str]) -> None:
-    """Raise UserError where an FMU's directional derivative is not what good differences give."""
+def check_contradiction(
+    J: Array, found: Jacobian, sizes: Array, rows: Sequence[str], columns: Sequence[str], counted: Sequence[str]
+) -> None:
+    """Raise UserError where an FMU's directional derivative is not what good differences give.
+
+    `counted` says, a sentence each, which outputs do not change because they are counted.
+    """
     sure = np.isfinite(found.error) & (relative(found.error, found.J, sizes) < NOTABLE_ERROR)
     wrong = np.where(sure, relative(np.abs(J - found.J), found.J, sizes), 0.0)
     if wrong.max(initial=0.0) > LARGEST_ERROR:
         i, j = place(wrong)
+        hints = () if J[i].any() else counted or ["so it is of a sensor that counts, whose resolution --set turns off"]
         raise UserError(
             f"the FMU contradicts itself: its directional derivative of {rows[i]} by {columns[j]} is {J[i, j]:.6g}, "
-            f"differences give {found.J[i, j]:.6g}"
-            + ("" if J[i].any() else "; so it is of a sensor that counts, whose resolution --set turns off")
+            f"differences give {found.J[i, j]:.6g}" + "".join(f"; {text}" for text in hints)
         )

@@ -14,9 +14,9 @@ from ihc_fmu.design import Design
 from ihc_fmu.integral import largest_mu
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.regulator.interface import INPUTS, OUTPUTS, STATES
 from ihc_fmu.synthesis import (
     SHARE_OF_LIMIT,
+    Choice,
     Options,
     chosen_options,
     degrees,
@@ -25,8 +25,9 @@ from ihc_fmu.synthesis import (
     largest_alpha,
     largest_alpha_of,
 )
-from ihc_fmu.system import System
+from ihc_fmu.system import PENDULUM, System
 
+from . import export, system_export
 from .errors import UserError
 
 Say = Callable[[str], object]
@@ -60,8 +61,8 @@ def system_and_wish(path: Path | None, wish: Wish) -> tuple[System, Wish]:
     return paper_system(), replace(wish, mu=mu, alpha=alpha, u_max=u_max)
 
 
-def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]:
-    """Return the design and why its options are what they are; raise UserError that says what is possible."""
+def find(system: System, wish: Wish, say: Say) -> tuple[Design, Choice]:
+    """Return the design, and its options with why they are what they are; raise UserError that says what is possible."""
     rest: dict[str, Any] = {"delta_max": wish.delta_max, "beta": wish.beta, "psi": wish.psi, "d_max": wish.d_max}
     rest["index"] = _index(system, wish)
     u_max = None if wish.u_max is None else _numbers(wish.u_max)
@@ -70,24 +71,26 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, tuple[str, ...]]
             raise UserError("a direct design needs --alpha, the decrease to prove [1/s]")
         mu = largest_mu(system) if wish.mu is None else wish.mu
         choice = chosen_options(system, mu, wish.alpha, u_max, say, **rest)
-        return direct_design(system, choice.options), choice.reasons
+        return direct_design(system, choice.options), choice
     if system.K is None:
         raise UserError(
             "an inverse design needs a linear controller: K, k_lin or lqr in the system; or --method direct"
         )
     try:
         choice = chosen_options(system, wish.mu, wish.alpha, u_max, say, **rest)
-        return inverse_design(system, choice.options, say, choice.start), choice.reasons
+        return inverse_design(system, choice.options, say, choice.start), choice
     except InfeasibleError as error:
         raise _explained(system, wish, error, say) from None
 
 
-def remarks(system: System) -> list[str]:
-    """Return what the user should know before a design: that no FMU takes a system of this size."""
-    sizes = ((system.n, STATES, "states"), (system.m, INPUTS, "inputs"), (system.p, OUTPUTS, "outputs"))
-    found = ", ".join(f"{count} {what}" for count, most, what in sizes if count > most)
-    rule = f"the FMUs take up to {STATES} states, {INPUTS} inputs and {OUTPUTS} outputs"
-    return [f"{rule}, found {found}: this design cannot be exported"] if found else []
+def unexportable(design: Design) -> list[str]:
+    """Return the sentence with which `export` will refuse a design, found by its own checks; nothing where it will not."""
+    check = export.check_exportable if design.system.name == PENDULUM else system_export.check_exportable
+    try:
+        check(design)
+    except UserError as error:
+        return [f"export will refuse this: {error}"]
+    return []
 
 
 def beyond_limits(design: Design) -> list[str]:
@@ -108,13 +111,19 @@ def beyond_limits(design: Design) -> list[str]:
 
 def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> UserError:
     """Return the error, which is of the last mu tried, with what is possible instead."""
-    if wish.psi or wish.d_max or wish.alpha is None:
+    if wish.d_max:
+        smaller = "" if wish.alpha is None else " or --alpha"
+        return UserError(
+            f"{error}; a smaller --d-max{smaller}, a larger scale (--u-max, --delta-max) or --method direct may have a "
+            "solution"
+        )
+    if wish.psi or wish.alpha is None:
         smaller = "" if wish.mu is None else "a smaller --mu, or "
         return UserError(f"{error}; {smaller}--method direct may have a solution")
     mus, found, why = degrees(system) if wish.mu is None else (wish.mu,), {}, error
     for mu in mus:
         try:
-            found[mu] = largest_alpha(system, mu, say=say)
+            found[mu] = largest_alpha(system, mu, say=say, beta=wish.beta)
         except InfeasibleError as none:
             why = none
     if not found:
@@ -133,20 +142,22 @@ def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> 
     )
 
 
-def prospect(design: Design, direct: bool, say: Say) -> str:
-    """Return what else is possible: the largest alpha for the gain and mu; of a direct design what control it takes."""
+def prospect(design: Design, options: Options, direct: bool, say: Say) -> str:
+    """Return what else is possible: the largest alpha under the other options; of a direct design what control it takes."""
     if direct:
         K, inputs = design.K, design.system.inputs
         most = np.sqrt(np.einsum("ij,ji->i", K, np.linalg.solve(design.P, K.T)))
         parts = (
             f"|{q.name}| <= {u:.4g}{'' if q.unit == '1' else ' ' + q.unit}" for u, q in zip(most, inputs, strict=True)
         )
-        return f"on the unit ball {', '.join(parts)}; any alpha has a solution, a larger one with a smaller ball"
+        where = "without d_max any alpha" if options.d_max else "any alpha"
+        return f"on the unit ball {', '.join(parts)}; {where} has a solution, a larger one with a smaller ball"
     try:
-        found = f"{largest_alpha_of(design, say):.4g} 1/s"
+        found = f"{largest_alpha_of(design, options, say):.4g} 1/s"
     except InfeasibleError as error:
         found = f"not found: {error}"
-    return f"largest feasible alpha for this gain and mu: {found}"
+    what = "gain, mu, d_max and scale" if options.d_max else "gain and mu"
+    return f"largest feasible alpha for this {what}: {found}"
 
 
 def _index(system: System, wish: Wish) -> int:

@@ -13,6 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from ihc_fmu.system import QUIET
+
 from .scenario import Scenario, StartValue, offsets
 
 Array = np.ndarray
@@ -86,6 +88,7 @@ class Estimate:
         return int(math.copysign(1, self.value)) if abs(self.value) > self.half_width else 0
 
 
+@QUIET
 def mean(values: Array) -> Estimate:
     """Return the mean of `values`; NaN without any."""
     return Estimate(float(np.mean(values)), _half_width(values)) if len(values) else Estimate(math.nan)
@@ -98,6 +101,7 @@ def root_mean_square(values: Array) -> Estimate:
     return Estimate(root, square.half_width / (2.0 * root) if root else square.half_width)
 
 
+@QUIET
 def change(values: Array, base: Array) -> Estimate:
     """Return mean(values) / mean(base) - 1 of pairs from the same draws, its interval by the delta method.
 

@@ -17,13 +17,24 @@ import numpy as np
 
 from filing.files import staging, write_file
 from fmu_export.errors import UserError
+from fmu_export.files import FilePath
 from fmu_export.reading import read_json
 
 from .campaign import Job, run_all
 from .draws import PENDULUM, Chance, Estimate, chance_of, change, drawn, mean, rms_change, root_mean_square
 from .fmu import Instance
 from .master import Coupling
-from .metrics import WINDOW, Metrics, Quantity, evaluate, is_pendulum, kept_upright, measure_of, missing_signals
+from .metrics import (
+    WINDOW,
+    Metrics,
+    Quantity,
+    evaluate,
+    is_pendulum,
+    kept_upright,
+    measure_of,
+    missing_signals,
+    overflow,
+)
 from .names import is_plain
 from .results import Result
 from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario, with_tolerances
@@ -157,6 +168,8 @@ class Comparison:
             said.append(
                 "nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all"
             )
+        beyond = {law: overflow(result) for law, result in self.results.items()}
+        said += [f"{law}: {text}" for law, text in beyond.items() if text]
         late = {law: self.unsettled(law) for law in laws}
         if self.count > 1 and any(late.values()):
             several = ", ".join(f"{law} {n}" for law, n in late.items())
@@ -173,12 +186,13 @@ class Comparison:
     def _norm(self) -> str:
         return measure_of(self.quantities, "rms").symbol.removeprefix("steady RMS ")
 
-    def save(self, folder: Path, pictures: Callable[[Path], object] | None = None) -> None:
+    def save(self, folder: FilePath, pictures: Callable[[Path], object] | None = None) -> None:
         """Write each law's result, all draws as comparison.csv, what `pictures` writes to a folder, and comparison.json.
 
         The last has the means, and under `files` the SHA-256 of each of the others. They reach `folder` together, and
         what an earlier comparison has left there and this one does not replace is removed.
         """
+        folder = Path(folder)
         earlier = _files_of(folder / ABOUT)
         with staging(folder, last=ABOUT) as place:
             self._save(place)
@@ -257,7 +271,7 @@ class Study:
     """
 
     scenario: Scenario
-    folder: Path
+    folder: FilePath
     draws: int = 0
     entry: str = LAW
     values: Mapping[str, Any] | None = None
@@ -274,7 +288,7 @@ class Study:
         return scenario.changed({self.entry: law if self.values is None else self.values[law]})
 
 
-def laws_of(scenario: Scenario, fmus: Path, folder: Path | None) -> list[str]:
+def laws_of(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> list[str]:
     """Return the laws that the scenario's controller has: the values of its enumeration `law`, in the order of LAWS.
 
     Raises UserError where it has no such variable.
@@ -297,7 +311,7 @@ def check_names(names: Sequence[str]) -> None:
             raise UserError(f"a value that is compared names a file, which {name!r} cannot")
 
 
-def check_outputs(scenario: Scenario, fmus: Path, folder: Path | None) -> None:
+def check_outputs(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> None:
     """Raise UserError for a system that cannot be coupled, or whose FMUs lack outputs that the metrics need."""
     system, judged = build_system(scenario, fmus, folder), evaluation(scenario, fmus, folder)
     if judged is not None and not judged.errors:
@@ -314,7 +328,7 @@ def check_outputs(scenario: Scenario, fmus: Path, folder: Path | None) -> None:
 
 def compare(
     studies: Sequence[Study],
-    fmus: Path,
+    fmus: FilePath,
     laws: Sequence[str] = LAWS,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,

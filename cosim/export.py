@@ -11,10 +11,13 @@ from .errors import UserError
 from .pendulum_files import PENDULUM_FMUS
 
 if TYPE_CHECKING:
+    from fmu_export.files import FilePath
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
     from fmu_export.variables import Interface, Value
     from ihc_fmu.design import Design
+
+    Plan = tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str]
 
 
 class Kind(StrEnum):
@@ -39,7 +42,7 @@ def export_units(
     design: Design,
     parameters: str = "ident",
     nominal: str = "ident",
-    output: Path = Path("fmus"),
+    output: FilePath = "fmus",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     smc: Smc = Smc.fitted,
     kind: Kind = Kind.native,
@@ -60,6 +63,29 @@ def export_units(
     `other_model`, and BuildError for a missing binary or compiler.
     """
     from filing.files import staging
+
+    plans, kept, wires = _planned(design, parameters, nominal, changes or {}, smc, outputs, other_model=other_model)
+    with staging(Path(output)) as place:
+        names = [path.name for path in _export(plans, kept, wires, place, kind, platforms, building)]
+    return [Path(output) / name for name in names]
+
+
+def check_exportable(design: Design) -> None:
+    """Raise UserError for a design that `export_units` refuses with its other arguments as by default."""
+    _planned(design, "ident", "ident", {}, Smc.fitted, None, other_model=False)
+
+
+def _planned(
+    design: Design,
+    parameters: str,
+    nominal: str,
+    changes: Mapping[str, Mapping[str, Any]],
+    smc: Smc,
+    outputs: Sequence[str] | None,
+    *,
+    other_model: bool,
+) -> tuple[tuple[Plan, Plan], list[list[str] | None], list[tuple[str, str]]]:
+    """Return plant and controller to write, of each the outputs that stay such, and the wires; raises as `export_units`."""
     from ihc_fmu.pendulum.documentation import notes as controller_notes
     from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.pendulum.slave import IhcController
@@ -77,7 +103,7 @@ def export_units(
     check_order(design)
     wires = [(w.source, w.target) for w in WIRES["encoders"]]
     plant_set, nominal_set = chosen(parameters), chosen(nominal)
-    changes = {"plant": {}, "controller": {}, **(changes or {})}
+    changes = {"plant": {}, "controller": {}, **changes}
     A, b, k_lin = design.A, design.b, design.k_lin
     sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
     plans = (
@@ -95,13 +121,11 @@ def export_units(
     problem = misfit(plans[1][2], plans[0][2])
     if problem is not None and not other_model:
         raise UserError(f"{problem}; --other-model exports them all the same")
-    with staging(output) as place:
-        names = [path.name for path in _export(plans, kept, wires, place, kind, platforms, building)]
-    return [output / name for name in names]
+    return plans, kept, wires
 
 
 def _export(
-    plans: Sequence[tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str]],
+    plans: Sequence[Plan],
     kept: Sequence[Sequence[str] | None],
     wires: Sequence[tuple[str, str]],
     output: Path,

@@ -24,6 +24,7 @@ from fmpy.logging import addLoggerProxy
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from fmu_export.errors import shown
+from fmu_export.files import FilePath
 from fmu_export.variables import did_you_mean
 
 from .archives import unpack
@@ -102,8 +103,9 @@ class FMU2Strict(Strict, fmpy.fmi2.FMU2Slave):
     """FMPy's slave, strict."""
 
 
-def found(path: Path, advice: str = "") -> os.stat_result:
+def found(path: FilePath, advice: str = "") -> os.stat_result:
     """Return the status of an FMU's file; raise UserError, with `advice`, where there is none or it cannot be read."""
+    path = Path(path)
     try:
         return path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -114,12 +116,13 @@ def found(path: Path, advice: str = "") -> os.stat_result:
         raise UserError(f"FMU {path} cannot be read: {error.strerror}") from None
 
 
-def describe(path: Path) -> tuple[str, ModelDescription]:
+def describe(path: FilePath) -> tuple[str, ModelDescription]:
     """Return (folder with the unpacked FMU, its description); unpacked once per process and file content.
 
     It is unpacked again where its folder is gone, as where temporary files are tidied under a process that lasts. Raises
     UserError for a file that is missing, not an FMU, or not an FMU of FMI 2.0.
     """
+    path = Path(path)
     status = found(path)
     key = (str(path.resolve()), status.st_mtime_ns, status.st_size)
     with _loading:
@@ -128,7 +131,7 @@ def describe(path: Path) -> tuple[str, ModelDescription]:
     return _unpacked[key]
 
 
-def start_values_of(path: Path) -> dict[str, Value]:
+def start_values_of(path: FilePath) -> dict[str, Value]:
     """Return the start values of an FMU's numbers and truth values by name, in their types; raises as `describe`."""
     folder, description = describe(path)
     if folder not in _starts:

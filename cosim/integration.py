@@ -19,6 +19,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from scipy.integrate import DOP853, OdeSolver, Radau
 
+from fmu_export.files import FilePath
+
 from .fmu import DISCARD, FmuError, Instance, Value, describe, status_text
 from .model_exchange import ModelInstance
 
@@ -41,18 +43,18 @@ _EVENT_WIDTH = 4.0 * float(np.finfo(float).eps)
 """How closely the time of a state event is found, relative to the time and to the solver's step."""
 
 
-def interface_of(path: Path, wanted: Interface | None = None) -> Interface:
+def interface_of(path: FilePath, wanted: Interface | None = None) -> Interface:
     """Return how an FMU is run: as `wanted`; None: for co-simulation where it has that. Raises as `describe`."""
     return wanted or ("ModelExchange" if describe(path)[1].coSimulation is None else "CoSimulation")
 
 
-def opened(name: str, path: Path, interface: Interface | None = None) -> Instance:
+def opened(name: str, path: FilePath, interface: Interface | None = None) -> Instance:
     """Return an instance of the FMU that can be stepped, see `interface_of`.
 
     Raises UserError for an FMU without that interface, and as `describe`.
     """
     exchange = interface_of(path, interface) == "ModelExchange"
-    return IntegratedInstance(name, path, tolerance=TOLERANCE) if exchange else Instance(name, path)
+    return IntegratedInstance(name, Path(path), tolerance=TOLERANCE) if exchange else Instance(name, Path(path))
 
 
 @dataclass(eq=False)

@@ -199,7 +199,7 @@ class ModelExchangePlant(Plant):
         J, error = found.J, found.error
         if self._directional:
             J = self._directional_jacobian(z)
-            check_contradiction(J, found, sizes, rows, self.names)
+            check_contradiction(J, found, sizes, rows, self.names, self._counting(J[self.n :, : self.n]))
             error = np.where(np.isfinite(found.error), np.abs(J - found.J), 0.0)
             check_smooth(Jacobian(J, error, found.kink), sizes, rows, self.names)
         else:

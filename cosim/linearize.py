@@ -12,12 +12,15 @@ and A must be the same for T and 2 T: it is not where a state is missing, and th
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from fmu_export.files import FilePath
 
 from .derivative_checks import largest
 from .derivatives import EvaluationError, finite, least_steps, solve
@@ -40,7 +43,7 @@ ROUNDING = 1e-11
 
 
 def linear_model(
-    path: Path,
+    path: FilePath,
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
     *,
@@ -62,7 +65,7 @@ def linear_model(
     Raises UserError for names that the FMU does not have, where there is no equilibrium, where derivatives do not settle,
     and for an FMU that does not say enough; FmuError where it fails at its start values.
     """
-    plant = open_plant(path, tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
+    plant = open_plant(Path(path), tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal
     with closing(plant), deferred_interrupt() as plant.interrupt, quiet:
         z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))
@@ -110,13 +113,12 @@ def _beginning(plant: Plant, at: dict[str, float], free: tuple[str, ...]) -> tup
 def _equilibrium(plant: Plant, z: Array, chosen: Sequence[int], fixed: Mapping[int, float]) -> tuple[Array, list[str]]:
     """Return z of the equilibrium and what is to be said of it; raises UserError where there is none."""
     found = _searched(plant, z, chosen)
-    J = plant.rates_jacobian(found)
-    if _at_rest(plant, found, J):
+    if _at_rest(plant, found, plant.rates_jacobian(found)):
         return found, []
     near = _searched(plant, z, range(plant.n))
     if _at_rest(plant, near, plant.rates_jacobian(near)) and (np.abs(near - z) <= NEAR * plant.sizes(z)).all():
         return near, _moved(plant, z, near, fixed)
-    raise UserError(_no_equilibrium(plant, z if fixed else found, J, fixed))
+    raise UserError(_no_equilibrium(plant, z, chosen, fixed))
 
 
 def _searched(plant: Plant, z: Array, chosen: Sequence[int]) -> Array:
@@ -143,8 +145,9 @@ def _moved(plant: Plant, z: Array, near: Array, fixed: Iterable[int]) -> list[st
     ]
 
 
-def _no_equilibrium(plant: Plant, z: Array, J: Array, fixed: Mapping[int, float]) -> str:
-    rates = plant.rates(z)
+def _no_equilibrium(plant: Plant, z: Array, chosen: Sequence[int], fixed: Mapping[int, float]) -> str:
+    """Return what keeps the plant from rest at z, where the search began; where it ended derivatives may mean nothing."""
+    rates, J = plant.rates(z), plant.rates_jacobian(z)
     worst = int(np.argmax(np.abs(rates) / _allowed(plant, z, J)))
     given = [f"{plant.names[j]} = {value:g}" for j, value in fixed.items()]
     stays = [f"{v.name} = {z[plant.n + j]:g}" for j, v in enumerate(plant.inputs) if plant.n + j not in fixed]
@@ -152,8 +155,10 @@ def _no_equilibrium(plant: Plant, z: Array, J: Array, fixed: Mapping[int, float]
     j = int(np.argmax(np.abs(missing)))
     hint = f"; {plant.names[j]} is what would have to change" if np.abs(missing[j]) > NEAR else ""
     unit = unit_of(plant.states[worst])
+    held = [v.name for j, v in enumerate(plant.inputs) if plant.n + j not in {*chosen, *fixed}]
+    free = f"free an input (--free {shlex.quote(held[0])}), or hold" if held else "hold"
     return (
         f"there is no equilibrium near {', '.join((*given, *stays)) or 'the start values'}: {plant.names[worst]}' "
-        f"is {rates[worst]:.4g}{'' if unit == '1' else f' {unit}'}/s{hint}; free an input (--free), or hold other values "
-        "(--at)"
+        f"is {rates[worst]:.4g}{'' if unit == '1' else f' {unit}'}/s where "
+        f"the search begins{hint}; {free} other values (--at)"
     )

@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from fmu_export.files import FilePath
 from fmu_export.units import same_unit
 from fmu_export.variables import did_you_mean
 
@@ -231,7 +232,7 @@ def simulate(
     every: int = 1,
     metadata: Mapping[str, Any] | None = None,
     progress: Callable[[int, int], None] | None = None,
-    folder: Path | None = None,
+    folder: FilePath | None = None,
 ) -> Result:
     """Run `system` for `duration` [s] at the fixed communication `step` [s]; return what was recorded.
 
@@ -250,7 +251,7 @@ def simulate(
         raise UserError(f"every must be at least 1, found {every}")
     coupling = Coupling(system)
     recorded = coupling.checked_outputs(record)
-    check_rows(steps // every + 2, len(recorded), every, folder=folder)
+    check_rows(steps // every + 2, len(recorded), every, folder=None if folder is None else Path(folder))
     if engine == "auto":
         engine = "fmpy" if needs_python(coupling.instances) else "native"
     integrated = [name for name, i in coupling.instances.items() if isinstance(i, IntegratedInstance)]

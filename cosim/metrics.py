@@ -6,12 +6,15 @@ What is judged is the result's own word, see `evaluation`: errors with their set
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+
+from ihc_fmu.system import QUIET
 
 from .errors import UserError
 from .evaluation import (
@@ -32,6 +35,8 @@ Array = np.ndarray
 STABILIZING = 3
 """Value of the output `mode` of the pendulum's controller while the stabilizing law acts."""
 
+MOST = math.sqrt(sys.float_info.max)
+"""Magnitude of a signal whose square is finite."""
 LEAST = 1e-300
 """Tolerance of an |e| that stays 0."""
 WINDOW = 3.0
@@ -258,6 +263,7 @@ def measure_of(quantities: Mapping[str, Quantity], role: Role) -> Quantity:
     return next(q for q in quantities.values() if q.role == role)
 
 
+@QUIET
 def trend(time: Array, e: Array, window: float = WINDOW, zero: float = ZERO * TOLERANCE) -> float:
     """Return how many times RMS |e| falls from the first half of the last `window` [s] to the second; 1 where it is steady.
 
@@ -266,12 +272,15 @@ def trend(time: Array, e: Array, window: float = WINDOW, zero: float = ZERO * TO
     - at least MATERIAL, or at most its inverse, and the logarithms of the mean squares of PARTS equal parts have a slope
       of that sign with Student's t above TREND_T: a trend against what scatters about it (an exponential has no scatter).
     zero^2 is added to each mean square, so that what decays below that counts as zero. NaN where the run
-    is shorter than the window, has less than two rows for each part, or a |e| that is not finite.
+    is shorter than the window, has less than two rows for each part, or a |e| that is not finite or has no finite
+    square.
     """
     late = e[time >= time[-1] - window]
     if time[-1] - time[0] < window * (1.0 - 1e-9) or len(late) < 2 * PARTS or not np.all(np.isfinite(late)):
         return math.nan
-    parts = np.array([np.mean(part**2) for part in np.array_split(late, PARTS)]) + zero**2
+    parts = np.array([np.mean(part**2) for part in np.array_split(late, PARTS)]) + np.float64(zero) ** 2
+    if not np.isfinite(np.sum(parts)):
+        return math.nan
     ratio = math.sqrt(float(np.sum(parts[: PARTS // 2]) / np.sum(parts[PARTS // 2 :])))
     if max(ratio, 1.0 / ratio) < MATERIAL:
         return 1.0
@@ -321,6 +330,7 @@ def can_evaluate(result: Recording) -> bool:
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
+@QUIET
 def at_rest(result: Recording) -> bool:
     """Return whether no error and no control changes in a run, and each error is 0 but for rounding; needs a judged one."""
     about = evaluation_in(result)
@@ -331,12 +341,30 @@ def at_rest(result: Recording) -> bool:
     return all(np.ptp(s) == 0.0 for s in signals) and all(np.all(np.abs(e) <= 1e-12 * np.abs(y)) for e, y in errors)
 
 
+@QUIET
+def overflow(result: Recording) -> str:
+    """Return in a sentence which judged signal or control first leaves the range of numbers; empty where none does.
+
+    Beyond MOST its square is infinite, and so are the metrics. Needs a result that can be evaluated.
+    """
+    about = evaluation_in(result)
+    signals = [(e.signal, error(result, e)) for e in about.errors]
+    signals += [(c.signal, np.asarray(result[c.signal])) for c in about.controls]
+    rows = [(np.flatnonzero(~(np.abs(s) < MOST)), name) for name, s in signals]
+    found = [(float(result.time[beyond[0]]), name) for beyond, name in rows if beyond.size]
+    if not found:
+        return ""
+    time, name = min(found)
+    return f"the numbers overflow: {name} is not finite, or beyond {MOST:.2g}, whose square is not, from {time:g} s on"
+
+
 def can_draw(result: Recording) -> bool:
     """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
     about = evaluation_in(result)
     return about.kind != "pendulum" or about.norm in result.signals
 
 
+@QUIET
 def error(result: Recording, about: ErrorSignal) -> Array:
     """Return an error at each row: what the controller is given of a signal, less its set-point."""
     e, point = given(result, about), set_point(result, about)
@@ -362,6 +390,7 @@ def _converted(signal: Array, factor: float, offset: float) -> Array:
     return plain if factor == 1.0 and offset == 0.0 else factor * plain + offset
 
 
+@QUIET
 def error_norm(result: Recording, about: Evaluation, group: Sequence[int]) -> Array:
     """Return |e| of a group of errors at each row, each over its scale where there are scales."""
     errors = [error(result, about.errors[k]) for k in group]
@@ -459,6 +488,7 @@ def _check(result: Recording, about: Evaluation) -> None:
         raise UserError(f"the result has no signal {missing[0]!r}; it has {', '.join(result.signals)}")
 
 
+@QUIET
 def _judged(result: Recording, about: Evaluation, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
     judge = _Judge(result, about, tolerance, steady)
     quantities = quantities_of(about)

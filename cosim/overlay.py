@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from fmu_export.files import FilePath
+
 from .errors import UserError
 from .evaluation import Evaluation, evaluation_in, pendulum_evaluation
 from .fmu import describe
@@ -41,10 +43,10 @@ class Laid:
 
 
 def lay(
-    path: Path,
+    path: FilePath,
     scenario: Scenario,
-    fmus: Path,
-    folder: Path | None = None,
+    fmus: FilePath,
+    folder: FilePath | None = None,
     begin: float = 0.0,
     progress: Callable[[int, int], None] | None = None,
 ) -> Laid:
@@ -53,7 +55,7 @@ def lay(
     `path` is a result, or a table (CSV) with a column `time` [s] and columns named as the scenario's signals,
     `component.variable`, in the FMUs' units. Raises UserError for a file without such signals, or in other units.
     """
-    system = build_system(scenario, fmus, folder)
+    path, system = Path(path), build_system(scenario, fmus, folder)
     coupling = Coupling(system)
     known = coupling.checked_outputs(scenario.record.outputs)
     whole, left_out = _loaded(path, known)

@@ -16,7 +16,7 @@ from pathlib import Path
 from filing.files import write_file
 from filing.origin import WRITTEN
 from fmu_export.errors import shown
-from fmu_export.files import is_file
+from fmu_export.files import FilePath, is_file
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
@@ -29,12 +29,13 @@ _NUMBERS = {f.name: f.default is MISSING for f in fields(QubeParameters)}
 """The keys that hold numbers, and whether a file must have them."""
 
 
-def load(path: Path) -> ParameterSet:
+def load(path: FilePath) -> ParameterSet:
     """Read a parameter set, named as the file without its suffix.
 
     Raises UserError that names the file and the key for a missing file, unknown or missing keys, values outside their
     rule.
     """
+    path = Path(path)
     data = read_toml(path, "parameter")
     known = {"source": True, "back_emf": True, **_NUMBERS}
     for key in data:
@@ -55,20 +56,21 @@ def load(path: Path) -> ParameterSet:
     return ParameterSet(path.stem, parameters, data["source"], f"read from {path.name}", data["back_emf"])
 
 
-def save(path: Path, chosen: ParameterSet) -> None:
+def save(path: FilePath, chosen: ParameterSet) -> None:
     """Write the numbers, the source and the back-EMF of a set; `load` reads them back to the last bit.
 
     The set's name and use are the file's. Raises UserError for a file that is not named *.toml.
     """
     import tomli_w  # noqa: PLC0415
 
+    path = Path(path)
     if path.suffix != SUFFIX:
         raise UserError(f"a parameter set goes into a file named *{SUFFIX}, found {path}")
     about = {"source": chosen.source, "back_emf": chosen.back_emf}
     write_file(path, f"# {WRITTEN}\n" + tomli_w.dumps({**about, **asdict(chosen.parameters)}))
 
 
-def chosen(name_or_file: str, folder: Path | None = None) -> ParameterSet:
+def chosen(name_or_file: str, folder: FilePath | None = None) -> ParameterSet:
     """Return the named set, or that of a file as `file_of` finds it; raises UserError where there is neither."""
     path = file_of(name_or_file, folder)
     if path is not None:
@@ -77,11 +79,11 @@ def chosen(name_or_file: str, folder: Path | None = None) -> ParameterSet:
     return parameter_set(name_or_file)
 
 
-def file_of(name_or_file: str | None, folder: Path | None = None) -> Path | None:
+def file_of(name_or_file: str | None, folder: FilePath | None = None) -> Path | None:
     """Return the path where the name is that of a file (*.toml): in `folder` if it is there, else in the current one."""
     if name_or_file is None or not name_or_file.endswith(SUFFIX):
         return None
-    beside = (folder or Path()) / name_or_file
+    beside = Path(folder or "") / name_or_file
     return beside if is_file(beside) else Path(name_or_file)
 
 

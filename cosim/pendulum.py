@@ -11,6 +11,7 @@ from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
 
+from fmu_export.files import FilePath
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.interface import VELOCITY_SOURCES, matrix, vector
 from plant_fmu.interface import start_values as plant_start_values
@@ -56,7 +57,7 @@ def measured(outputs: list[str], measurement: str) -> dict[str, str]:
     return {name: f"{name}_encoder" for name in ANGLES if f"{name}_encoder" in outputs}
 
 
-def plant_start(parameters: str | None, folder: Path | None) -> dict[str, StartValue]:
+def plant_start(parameters: str | None, folder: FilePath | None) -> dict[str, StartValue]:
     """Return the start values of a parameter set, or of a file of one; none for None."""
     return {} if parameters is None else dict(plant_start_values(parameter_files.chosen(parameters, folder)))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from matplotlib.patches import Patch
 
 from filing.files import write_file
 from filing.origin import SOFTWARE
+from fmu_export.files import FilePath
 from ihc_fmu.pendulum.interface import LAWS
 
 from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
@@ -92,16 +94,18 @@ PICTURES = {
     "general": ("signals", "norm", "controls", "homogeneous_norm"),
 }
 """The pictures of `save_comparison`, by the kind of the system."""
+LARGEST = 1e150
+"""Magnitude of what is drawn."""
 COMPARISON = tuple(dict.fromkeys(name for names in PICTURES.values() for name in names))
 
 
-def save_comparison(results: Mapping[str, Recording], folder: Path, title: str) -> list[Path]:
+def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: str) -> list[Path]:
     """Write pictures to `folder`, one curve per entry of `results`: what is judged, its norm, controls, homogeneous norm.
 
     They are angles.png, norm.png, voltage.png and homogeneous_norm.png for the pendulum, and signals.png and controls.png
     for other systems; the last only where all results have one.
     """
-    results = {literal(name): result for name, result in results.items()}
+    results = {literal(name): _within_range(result) for name, result in results.items()}
     about = evaluation_in(next(iter(results.values())))
     norms = [
         (norm_label(about, suffix), lambda result, group=group: error_norm(result, about, group))
@@ -113,10 +117,21 @@ def save_comparison(results: Mapping[str, Recording], folder: Path, title: str) 
         figures.append(_logarithmic(results, [homogeneous]))
     names = PICTURES[about.kind]
     return [
-        save_figure(figure, folder / f"{name}.png", title)
+        save_figure(figure, Path(folder) / f"{name}.png", title)
         for name, figure in zip(names, figures, strict=False)
         if figure is not None
     ]
+
+
+def _within_range(result: Recording) -> Recording:
+    """Return the result with gaps where real numbers are beyond LARGEST, which Matplotlib cannot scale."""
+    return replace(
+        result,
+        signals={
+            name: np.where(np.abs(s) < LARGEST, s, np.nan) if s.dtype == np.float64 else s
+            for name, s in result.signals.items()
+        },
+    )
 
 
 def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
@@ -126,13 +141,14 @@ def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
     )
 
 
-def save_overview(result: Recording, path: Path, title: str) -> Path:
+def save_overview(result: Recording, path: FilePath, title: str) -> Path:
     """Write the overview of a single result as a picture."""
     return save_figure(overview(result), path, title)
 
 
 def overview(result: Recording) -> Figure:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
+    result = _within_range(result)
     about = evaluation_in(result)
     has_norm = _has_norm(about, [result])
     groups = about.error_groups if len(about.errors) > 1 else {}
@@ -199,12 +215,14 @@ def positive(axis: Any, time: np.ndarray, signal: np.ndarray, colour: str, label
         axis.annotate("▾ 0", (0.005, 0.06), xycoords="axes fraction", fontsize="x-small", color="0.3")
 
 
-def save_figure(figure: Figure, path: Path, title: str) -> Path:
+def save_figure(figure: Figure, path: FilePath, title: str) -> Path:
     """Write a PNG, the same bytes for the same figure; beside `path` first, then renamed."""
+    path = Path(path)
     figure.suptitle(literal(title), fontsize="medium")
     FigureCanvasAgg(figure)
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
+    with np.errstate(all="ignore"):  # a run that left the range of numbers
+        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
     write_file(path, buffer.getvalue())
     return path
 

@@ -20,7 +20,7 @@ import numpy as np
 from pydantic_core import to_json
 
 from filing.files import write_files
-from fmu_export.files import uninterrupted
+from fmu_export.files import FilePath, uninterrupted
 from fmu_export.reading import parse_json, read_bytes, read_text
 
 from .errors import UserError
@@ -70,12 +70,13 @@ class Result(Recording):
             return overview(self)
         return panels_of({"": self}, names or tuple(self.signals))
 
-    def save(self, path: Path) -> None:
+    def save(self, path: FilePath) -> None:
         """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.
 
         Both are on the disk before they get their names, and Ctrl-C waits for that. Raises UserError where they cannot be
         written; an earlier result is then as it was.
         """
+        path = Path(path)
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
         columns = [self.time, *self.signals.values()]
@@ -89,8 +90,9 @@ class Result(Recording):
             write_files({path: table, path.with_suffix(".json"): json.dumps(header, indent=1) + "\n"})
 
     @classmethod
-    def load(cls, path: Path) -> Result:
+    def load(cls, path: FilePath) -> Result:
         """Read a CSV and the JSON that describes it; raise UserError that names the file and what does not fit."""
+        path = Path(path)
         if path.is_file():
             size = BYTES_READ * path.stat().st_size
             check_memory(f"reading {path}", size, "a result with fewer rows or columns can be read")

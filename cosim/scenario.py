@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import filecmp
 import math
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +17,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from filing.origin import WRITTEN
-from fmu_export.files import is_file, is_folder
+from fmu_export.files import FilePath, is_file, is_folder
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 from ihc_fmu.sampled_unit import check_step
@@ -218,14 +219,14 @@ def built_in_names() -> list[str]:
     return sorted(file.stem for file in BUILT_IN.glob("*.toml"))
 
 
-def load_scenario(name: str) -> tuple[Scenario, Path]:
+def load_scenario(name: FilePath) -> tuple[Scenario, Path]:
     """Return (scenario, its folder) from a TOML file or an SSP file, or a built-in one by its name.
 
     The folder of an SSP file is where its FMUs were unpacked.
 
     Raises UserError that names the file, the entry, the rule and the value.
     """
-    path = Path(name)
+    name, path = os.fspath(name), Path(name)
     if path.suffix == ssp.SUFFIX:
         data, folder = ssp.read(path)
         return _validated({"name": path.stem, **data}, str(path)), folder
@@ -258,14 +259,14 @@ class Files:
     tables: dict[str, Path]
 
 
-def files(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Files:
+def files(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> Files:
     """Return the paths of the files that a scenario names.
 
     An FMU is beside the scenario or in the folder `fmus`; raises UserError where both have it and they differ.
     """
 
     def find(file: str) -> Path:
-        beside, there = (folder or Path()) / file, fmus / file
+        beside, there = Path(folder or "") / file, Path(fmus) / file
         if folder is None or not is_file(beside):
             return there
         if is_file(there) and not filecmp.cmp(beside, there, shallow=False):
@@ -291,13 +292,15 @@ def check_found(fmus: Mapping[str, Path]) -> None:
         found(path, "--fmus names the folder of the scenario's FMUs")
 
 
-def _beside_or_here(file: str, folder: Path | None) -> Path:
+def _beside_or_here(file: str, folder: FilePath | None) -> Path:
     """Return the path of a file that a scenario names: beside it if it is there, else in the current folder."""
-    beside = (folder or Path()) / file
+    beside = Path(folder or "") / file
     return beside if is_file(beside) else Path(file)
 
 
-def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None) -> System:
+def build_system(
+    scenario: Scenario, fmus: FilePath, folder: FilePath | None = None, controller: FilePath | None = None
+) -> System:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
     `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
@@ -310,7 +313,7 @@ def build_system(scenario: Scenario, fmus: Path, folder: Path | None = None, con
     return system
 
 
-def evaluation(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Evaluation | None:
+def evaluation(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> Evaluation | None:
     """Return what the scenario's runs are judged by; None where that is the pendulum's.
 
     Raises UserError for signals that the FMUs do not have.
@@ -322,13 +325,13 @@ class _Plan:
     """A scenario with its files found and its FMUs' variables read."""
 
     def __init__(
-        self, scenario: Scenario, fmus: Path, folder: Path | None = None, controller: Path | None = None
+        self, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None, controller: FilePath | None = None
     ) -> None:
         self.scenario, self.folder = scenario, folder
         self.files = files(scenario, fmus, folder)
         self.paths = dict(self.files.fmus)
         if controller is not None:
-            self.paths[CONTROLLER] = controller
+            self.paths[CONTROLLER] = Path(controller)
         if not self.paths:
             raise UserError("a scenario needs at least one component")
         check_found(self.paths)
@@ -389,7 +392,9 @@ class _Plan:
 
     def wires(self) -> tuple[Wire, ...]:
         if self.scenario.wires is not None:
-            return tuple(section.wire() for section in self.scenario.wires)
+            listed = tuple(section.wire() for section in self.scenario.wires)
+            wiring.check_ends(listed, self.variables)
+            return listed
         if not {CONTROLLER, PLANT} <= self.paths.keys():
             return ()
         if self.swings and self.balances:
@@ -501,13 +506,13 @@ def offsets(own: Mapping[str, StartValue]) -> list[str]:
     return [name for name in own if name.endswith(OFFSETS) and own.get(name.removesuffix("_offset")) != 0.0]
 
 
-def plant_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:
+def plant_values(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> Mapping[str, StartValue]:
     """Return all start values of the plant: the FMU's own and the scenario's; none where there is no plant."""
     path = files(scenario, fmus, folder).fmus.get(PLANT)
     return {} if path is None else {**_own_values(path), **scenario.plant.start}
 
 
-def controller_values(scenario: Scenario, fmus: Path, folder: Path | None) -> Mapping[str, StartValue]:
+def controller_values(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> Mapping[str, StartValue]:
     """Return the start values of the controller FMU's own; none where there is no controller."""
     path = files(scenario, fmus, folder).fmus.get(CONTROLLER)
     return {} if path is None else _own_values(path)
@@ -577,7 +582,7 @@ def remarks(system: System, scenario: Scenario) -> list[str]:
     return said
 
 
-def with_tolerances(scenario: Scenario, fmus: Path, folder: Path | None = None) -> Scenario:
+def with_tolerances(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> Scenario:
     """Return the scenario with the tolerances of settling that it does not name: those of a run of it as it stands.
 
     So runs that are compared are held against the same ones. Raises as `run_scenario`.
@@ -616,10 +621,10 @@ def rest_remarks(result: Result, system: System) -> list[str]:
 
 def run_scenario(
     scenario: Scenario,
-    fmus: Path,
-    folder: Path | None = None,
+    fmus: FilePath,
+    folder: FilePath | None = None,
     progress: Callable[[int, int], None] | None = None,
-    target: Path | None = None,
+    target: FilePath | None = None,
 ) -> Result:
     """Run `scenario` and return its result, whose metadata holds it; raises as `simulate`.
 

@@ -27,6 +27,7 @@ from filing.origin import origin
 from filing.ownership import check_replaceable
 from fmu_export.archive import write_zip
 from fmu_export.errors import shown
+from fmu_export.files import FilePath
 from fmu_export.ssp import OMS, SSC, SSD, write_ssp
 
 from .archives import unpack
@@ -75,11 +76,12 @@ def _unpacked(path: Path, _time: int, _size: int) -> Path:
     return folder
 
 
-def read(path: Path) -> tuple[dict[str, Any], Path]:
+def read(path: FilePath) -> tuple[dict[str, Any], Path]:
     """Return (a scenario's data, the folder of its FMUs) of an SSP file.
 
     Raises UserError for what is no such file, or has what this reader does not take.
     """
+    path = Path(path)
     try:
         status = path.stat()
     except OSError as error:
@@ -303,11 +305,12 @@ def _value(name: str, parameter: ET.Element) -> Value:
     )
 
 
-def write(path: Path, name: str, system: System, duration: float, step: float) -> Path:
+def write(path: FilePath, name: str, system: System, duration: float, step: float) -> Path:
     """Write a system as an SSP file: FMUs, wires with their conversions, start values, the run's duration; return `path`.
 
     Signals have no place in it: their inputs keep their start values. Raises UserError as `write_ssp`.
     """
+    path = Path(path)
     check_replaceable(path)
     components = {c.name: c.path for c in system.components}
     with tempfile.TemporaryDirectory(prefix="qube-ihc-") as folder:

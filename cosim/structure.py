@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from fmu_export.files import FilePath
+
 from .fmu import Value
 from .integration import Interface
 
@@ -19,8 +21,18 @@ class Component:
 
     name: str
     path: Path
-    start: Mapping[str, Value | str] = field(default_factory=dict)
-    interface: Interface | None = None
+    start: Mapping[str, Value | str]
+    interface: Interface | None
+
+    def __init__(
+        self,
+        name: str,
+        path: FilePath,
+        start: Mapping[str, Value | str] | None = None,
+        interface: Interface | None = None,
+    ) -> None:
+        for entry, value in (("name", name), ("path", Path(path)), ("start", start or {}), ("interface", interface)):
+            object.__setattr__(self, entry, value)
 
 
 @dataclass(frozen=True)

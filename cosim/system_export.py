@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .export import Kind, kept_outputs
 
 if TYPE_CHECKING:
+    from fmu_export.files import FilePath
     from fmu_export.guarded_slave import GuardedSlave
     from fmu_export.native_unit import NativeUnit
     from fmu_export.variables import Interface
@@ -40,6 +41,13 @@ class _Plan:
     notes: str
     resources: Mapping[str, bytes]
 
+    def check(self) -> None:
+        """Raise UserError for start values that the unit refuses."""
+        from fmu_export.shown import Showing
+
+        showing = Showing(self.native.interface, self.interface)
+        showing.admitted(self.native.twin, showing.interface.start_values(self.changes), self.hidden)
+
     def write(
         self,
         path: Path,
@@ -69,7 +77,7 @@ class _Plan:
 
 def export_system(
     design: Design,
-    output: Path = Path("fmus"),
+    output: FilePath = "fmus",
     changes: Mapping[str, Mapping[str, Any]] | None = None,
     kind: Kind = Kind.native,
     platforms: Sequence[str] | None = None,
@@ -87,6 +95,26 @@ def export_system(
     from filing.files import staging
     from filing.origin import origin
     from fmu_export.ssp import write_ssp
+
+    system, names = design.system, exported_files(design.system)
+    plans, kept = _planned(design, changes, outputs)
+    with staging(Path(output)) as place:
+        for plan, stay, name in zip(plans, kept, names, strict=False):
+            plan.write(place / name, stay, kind, platforms, building)
+        units = {"controller": place / names[1], "plant": place / names[0]}
+        write_ssp(place / names[2], system.name, units, wires_of(system), origin())
+    return [Path(output) / name for name in names]
+
+
+def check_exportable(design: Design) -> None:
+    """Raise UserError for a design that `export_system` refuses whatever its other arguments."""
+    _planned(design, None, None)
+
+
+def _planned(
+    design: Design, changes: Mapping[str, Mapping[str, Any]] | None, outputs: Sequence[str] | None
+) -> tuple[tuple[_Plan, _Plan], list[list[str] | None]]:
+    """Return plant and controller to write, and of each the outputs that stay such; raises as `export_system`."""
     from ihc_fmu.controller import regulator_of, resampled
     from ihc_fmu.design import DESIGN_FILE
     from ihc_fmu.regulator.documentation import notes as controller_notes
@@ -102,18 +130,14 @@ def export_system(
     regulator = regulator_of(design)
     interface, hidden = regulator.exported()
     system = design.system
-    plant, wires = shown_interface(system), wires_of(system)
-    kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires)
-    names = exported_files(system)
+    plant = shown_interface(system)
+    kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires_of(system))
     inside = {DESIGN_FILE: design.to_json().encode()}
     about = plant_notes(system), controller_notes(design, regulator.estimator)
     plans = (
         _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0], {}),
         _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1], inside),
     )
-    with staging(output) as place:
-        for plan, stay, name in zip(plans, kept, names, strict=False):
-            plan.write(place / name, stay, kind, platforms, building)
-        units = {"controller": place / names[1], "plant": place / names[0]}
-        write_ssp(place / names[2], system.name, units, wires, origin())
-    return [output / name for name in names]
+    for plan in plans:
+        plan.check()  # refuse both before writing either
+    return plans, kept

@@ -11,7 +11,7 @@ import numpy as np
 from filing.files import write_file
 from filing.origin import WRITTEN
 from filing.ownership import check_replaceable
-from fmu_export.files import is_file
+from fmu_export.files import FilePath, is_file
 from fmu_export.reading import parse_toml, read_text
 from ihc_fmu.system import System, from_dict
 
@@ -22,13 +22,13 @@ LINE = "# The model: linearize replaces what stands below this line and leaves w
 """Parts a file in two."""
 
 
-def write(path: Path, model: LinearModel, comment: str = "") -> System:
+def write(path: FilePath, model: LinearModel, comment: str = "") -> System:
     """Write the model to a system file and return the system that the file then means.
 
     A file that is there keeps what stands above LINE; a new one gets hints for what a controller needs besides. `comment`
     goes below. Raises UserError for a file without LINE or that another wrote, and where both parts do not fit.
     """
-    system = model.system()
+    path, system = Path(path), model.system()
     check_replaceable(path)
     text = "\n".join((_above(path, system), LINE, *(f"# {line}" for line in comment.splitlines()), _below(system)))
     try:

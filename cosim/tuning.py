@@ -19,6 +19,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from filing.files import staging, write_file
+from fmu_export.files import FilePath
 from fmu_export.variables import Value
 from ihc_fmu.design import Design
 from ihc_fmu.pendulum.start_values import design_values
@@ -139,8 +140,8 @@ class Problem:
     """
 
     scenario: Scenario
-    folder: Path
-    fmus: Path
+    folder: FilePath
+    fmus: FilePath
     design: Design | None
     measure: str | None = None
     most_chattering: float = math.inf
@@ -328,7 +329,7 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
     return here
 
 
-def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
+def save(tuning: Tuning, problem: Problem, folder: FilePath) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
     FMUs and tables that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
@@ -343,12 +344,13 @@ def save(tuning: Tuning, problem: Problem, folder: Path) -> list[Path]:
     start = {f"controller.start.{name}": value for name, value in point.items()}
     scenario = problem.scenario.changed({**own, **start}).to_toml()
     used = files(problem.scenario, problem.fmus, problem.folder)
-    fmus = [path for path in used.fmus.values() if path.parent.absolute() != problem.fmus.absolute()]
+    fmus = [path for path in used.fmus.values() if path.parent.absolute() != Path(problem.fmus).absolute()]
     drawn = f"means of {len(problem.numbers)} draws" if problem.chance else "one run each"
     title = (
         f"{problem.scenario.name}: {tuning.quantities[tuning.measure].symbol} and chattering, {drawn}\n"
         "square: where the rule stops; triangle: there with b_max raised"
     )
+    folder = Path(folder)
     with staging(folder) as place:
         write_file(place / "tuning.csv", _table(tuning))
         for path in dict.fromkeys([*fmus, *used.tables.values()]):

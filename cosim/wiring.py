@@ -10,6 +10,8 @@ from typing import Any
 from fmpy.model_description import ScalarVariable
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from fmu_export.variables import did_you_mean
+
 from .errors import UserError
 from .fmu import RECORDED
 from .structure import Wire
@@ -91,6 +93,19 @@ def by_names(controller: Variables, plant: Variables, measured: Mapping[str, str
             f'wires = ["controller.{(outputs(controller) or ["OUTPUT"])[0]} -> plant.{(inputs(plant) or ["INPUT"])[0]}"]'
         )
     return [*there, *back]
+
+
+def check_ends(wires: Sequence[Wire], variables: Mapping[str, Variables]) -> None:
+    """Raise UserError for a wire that does not lead from an output to an input; `variables` are by component."""
+    for wire in wires:
+        for name, causality, verb in ((wire.source, "output", "begins"), (wire.target, "input", "ends")):
+            component, _, variable = name.partition(".")
+            said = f"the wire {wire.source} -> {wire.target} {verb} at {name}, which is no"
+            if component not in variables:
+                raise UserError(f"{said} component's variable{did_you_mean(component, variables)}")
+            fitting = [v.name for v in variables[component].values() if v.causality == causality]
+            if variable not in fitting:
+                raise UserError(f"{said} {causality}{did_you_mean(variable, fitting)}")
 
 
 def check_fed(controller: Variables, fed: Collection[str], *, listed: bool) -> None:

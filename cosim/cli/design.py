@@ -72,11 +72,10 @@ def design(
 
         wish = designing.Wish(method is Method.direct, mu, alpha, u_max, delta_max, state, beta, psi, d_max)
         of, wish = designing.system_and_wish(system, wish)
-        say_notes(designing.remarks(of))
         with problems.status("solving the matrix inequalities") as shown:
-            found, reasons = designing.find(of, wish, shown.update)
+            found, choice = designing.find(of, wish, shown.update)
             found.save(path)
-            print_design(found, reasons)
-            say_notes(designing.beyond_limits(found))
-            console.print(escaped(designing.prospect(found, wish.direct, shown.update)))
+            print_design(found, choice.reasons)
+            say_notes([*designing.beyond_limits(found), *designing.unexportable(found)])
+            console.print(escaped(designing.prospect(found, choice.options, wish.direct, shown.update)))
     console.print(f"wrote {escaped(path)}")

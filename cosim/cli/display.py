@@ -210,11 +210,15 @@ def change_text(estimate: Estimate) -> str:
     shown = f"× {1.0 + value:.3g}" if value > 9.0 else f"{100.0 * value:+.3g}"
     if math.isnan(half):
         return shown + unit
-    digits = min(3, decimals(factor * max(half, 1e-9)))
+    if factor * half < LEAST_INTERVAL:
+        return f"{shown}{unit} {VERDICTS[estimate.decided]}"
+    digits = min(3, decimals(factor * half))
     shown = f"× {1.0 + value:.{digits}f}" if value > 9.0 else f"{100.0 * value:+.{digits}f}"
     return f"{shown} ± {factor * half:.{digits}f}{unit} {VERDICTS[estimate.decided]}"
 
 
+LEAST_INTERVAL = 5e-4
+"""Half width of a change's interval, in percent or of a factor, below which none is shown: draws that are all alike."""
 VERDICTS = {1: "worse", 0: "open", -1: "better"}
 """What the sign of a decided change means."""
 
@@ -292,6 +296,10 @@ def progress() -> Progress:
     return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
 
 
+LARGEST_SHOWN = 4
+"""States of a design up to which its P is printed: larger ones push the certificate out of view."""
+
+
 def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
     """Print a design's numbers, why they were chosen, and its certificate."""
     import numpy as np
@@ -314,7 +322,8 @@ def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
     table.add_row("K - K_0", rows(found.K_h))
     if found.integral is not None:
         table.add_row("K_i of the integral action", rows(found.integral.K_i))
-    table.add_row("P", rows(found.P))
+    whole = found.n <= LARGEST_SHOWN
+    table.add_row("P", rows(found.P) if whole else f"{found.n} x {found.n}, in the file")
     table.add_row("mu, alpha", f"{found.mu:g}, {found.alpha:g} 1/s")
     table.add_row("origin reached from the unit sphere within", f"{1.0 / (found.mu * found.alpha):.4g} s")
     largest = (f"{q.name} {u:.6g}{_unit(q.unit)}" for q, u in zip(system.inputs, found.u_max, strict=True))

@@ -10,6 +10,7 @@ import typer
 
 from filing.ownership import check_replaceable
 from fmu_export.errors import shown
+from fmu_export.files import is_folder
 
 from ..errors import UserError
 from .display import console, escaped, interruptible, problems, say_notes, show_table
@@ -70,6 +71,8 @@ def linearize(
 
     What you add to the file above its line (weights, limits, resolutions) stays when the command is repeated.
     """
+    if is_folder(fmu):
+        raise UserError(f"the file to linearize must be an FMU, found the folder {fmu}")
     path = output or Path(f"{fmu.stem}.toml")
     if path.suffix != ".toml":
         raise UserError(f"-o must name a .toml file, found {path}")

@@ -82,6 +82,7 @@ def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, b
     from ..metrics import can_evaluate
     from ..overlay import compared, lay
     from ..plots import panels_of, save_comparison, save_figure
+    from ..scenario import build_system, rest_remarks
 
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
@@ -90,6 +91,7 @@ def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, b
         )
     if laid.left_out:
         say_notes([f"columns of {run} that no signal of the scenario has the name of: {', '.join(laid.left_out)}"])
+    say_notes(rest_remarks(laid.simulated, build_system(scenario, fmus, beside)))
     both = {"measured": laid.measured, "simulation": laid.seen}
     title = f"{run.name} and the simulation of {scenario.name}"
     judged = can_evaluate(laid.measured)

@@ -37,7 +37,7 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from ..metrics import can_draw, can_evaluate
+    from ..metrics import can_draw, can_evaluate, overflow
     from ..results import Interrupted, SimulationError
     from ..scenario import build_system, remarks, rest_remarks, run_scenario
 
@@ -89,6 +89,7 @@ def run(
         picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
         console.print(f"wrote {escaped(picture)}")
     if can_evaluate(result):
+        say_notes(filter(None, [overflow(result)]))
         print_metrics(result)
 
 

@@ -21,6 +21,9 @@ from .errors import UserError
 Content = str | bytes | Iterable[bytes]
 """Text (UTF-8), bytes, or pieces of bytes."""
 
+FilePath = str | os.PathLike[str]
+"""A path as callers may give it."""
+
 Check = Callable[[Path, str | bytes | None], None]
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from .archive import content_guid, further_resources, write_zip
 from .documentation import documents
 from .errors import UserError
+from .files import FilePath
 from .model_description import Capabilities, ModelExchange, model_description
 from .native_build import (
     BINARIES,
@@ -37,7 +38,7 @@ ALL = "all"
 
 def export_native_fmu(
     unit: NativeUnit,
-    path: Path,
+    path: FilePath,
     changes: Mapping[str, Value | str] | None = None,
     notes: str = "",
     platforms: Iterable[str] | None = None,
@@ -65,7 +66,7 @@ def export_native_fmu(
     BuildError where there is no binary, ValueError for an interface that does not fit the unit's table and for a resource
     that is no file of its own.
     """
-    showing = Showing(unit.interface, unit.interface if interface is None else interface)
+    path, showing = Path(path), Showing(unit.interface, unit.interface if interface is None else interface)
     identifier = checked_identifier(unit.interface.name if identifier is None else identifier)
     start = showing.interface.start_values(changes)
     values = showing.admitted(unit.twin, start, hidden or {})

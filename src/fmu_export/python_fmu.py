@@ -18,6 +18,7 @@ from pathlib import Path, PurePosixPath
 
 from .archive import content_guid, further_resources, license_of, write_zip
 from .documentation import documents
+from .files import FilePath
 from .guarded_slave import MANIFEST, GuardedSlave, code_digest, manifest_of
 from .model_description import Capabilities, model_description
 from .native_unit import checked_identifier
@@ -40,7 +41,7 @@ ctypes.pythonapi.Py_IncRef(ctypes.py_object(globals()))
 
 def export_python_fmu(
     slave: type[GuardedSlave],
-    path: Path,
+    path: FilePath,
     changes: Mapping[str, Value | str] | None = None,
     notes: str = "",
     outputs: Collection[str] | None = None,
@@ -62,7 +63,7 @@ def export_python_fmu(
     or that contradict each other and for an identifier that is none in C, ValueError for an interface that does not fit the
     slave's and for a resource that is no file of its own.
     """
-    showing = Showing(slave.interface, slave.interface if interface is None else interface)
+    path, showing = Path(path), Showing(slave.interface, slave.interface if interface is None else interface)
     identifier = checked_identifier(slave.interface.name if identifier is None else identifier)
     start = showing.interface.start_values(changes)
     showing.admitted(slave.unit_class, start, hidden or {})

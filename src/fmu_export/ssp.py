@@ -9,6 +9,7 @@ from xml.etree import ElementTree as ET
 
 from .archive import write_zip
 from .errors import UserError
+from .files import FilePath
 from .origin import ANONYMOUS, Origin
 from .units import base_unit
 
@@ -18,9 +19,9 @@ OMS = "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/
 
 
 def write_ssp(
-    path: Path,
+    path: FilePath,
     name: str,
-    components: Mapping[str, Path],
+    components: Mapping[str, FilePath],
     wires: Iterable[tuple[str, str]],
     origin: Origin = ANONYMOUS,
 ) -> Path:
@@ -33,7 +34,8 @@ def write_ssp(
     instance's name with a dot and different files of one name.
     """
     ends = [(*_parts(a), *_parts(b)) for a, b in wires]
-    _check_components(components)
+    path, fmus = Path(path), {instance: Path(fmu) for instance, fmu in components.items()}
+    _check_components(fmus)
     ET.register_namespace("ssd", SSD)
     ET.register_namespace("ssc", SSC)
     ET.register_namespace("oms", OMS)
@@ -42,7 +44,7 @@ def write_ssp(
     elements = ET.SubElement(system, f"{{{SSD}}}Elements")
     files: dict[str, bytes] = {}
     units: set[str] = set()
-    descriptions = {instance: _description(fmu) for instance, fmu in components.items()}
+    descriptions = {instance: _description(fmu) for instance, fmu in fmus.items()}
     causalities = {
         (instance, v.get("name")): v.get("causality")
         for instance, d in descriptions.items()
@@ -52,7 +54,7 @@ def write_ssp(
         for owner, variable, causality in ((a, x, "output"), (b, y, "input")):
             if causalities.get((owner, variable)) != causality:
                 raise UserError(f"the wire {a}.{x} -> {b}.{y} needs the {causality} {owner}.{variable}")
-    for instance, fmu in components.items():
+    for instance, fmu in fmus.items():
         source = f"resources/{fmu.name}"
         files[source] = fmu.read_bytes()
         component = ET.SubElement(

@@ -71,6 +71,13 @@ class BlockForm:
             Bz=d[:, None] * self.Bz,
         )
 
+    def normal(self, omega: float) -> BlockForm:
+        """Return the form with blocks scaled so that N has blocks of norm omega."""
+        factors = [1.0]
+        for here, following in reversed(list(pairwise(self.blocks))):
+            factors.insert(0, factors[0] * omega / float(np.linalg.norm(self.N[here, following], 2)))
+        return self.scaled(factors)
+
 
 def slices(sizes: Sequence[int]) -> list[slice]:
     """Return the places of consecutive blocks of these sizes."""

@@ -12,8 +12,9 @@ from math import lcm
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, counted, shown
 
 from .homogeneity import homogeneous_norm, norm_polynomial
 
@@ -74,15 +75,14 @@ def certify(design: Candidate) -> Certificate:
         identities=_identity_residual(design),
         matched_disturbance=unit.largest_matched_disturbance(),
     )
-    gain = "A + b k_lin" if design.system.m == 1 else "A + B K"
-    _require(certificate.hurwitz > 0.0, f"{gain} Hurwitz", certificate.hurwitz, "1/s")
+    _require(certificate.hurwitz > 0.0, "A + B K Hurwitz", certificate.hurwitz, "1/s")
     _require(
         certificate.monotone > 0.0 and is_positive(exact.monotone()),
         "G_d' P + P G_d > 0",
         certificate.monotone,
         "relative to P",
     )
-    name = "(A_0 + b k)' P + P (A_0 + b k) + alpha (G_d' P + P G_d) <= 0"
+    name = "(A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d) <= 0"
     robust = design.psi > 0.0 or design.d_max > 0.0
     _require(
         certificate.decrease > 0.0 and is_positive(exact.decrease()),
@@ -92,7 +92,7 @@ def certify(design: Candidate) -> Certificate:
     )
     if certificate.identities > IDENTITY_TOLERANCE:
         raise CertificateError(
-            f"A_0 G_d - G_d A_0 = -mu A_0 and G_d b = b fail: relative residual {certificate.identities:.3g}, "
+            f"A_0 G_d - G_d A_0 = -mu A_0 and G_d B = B fail: relative residual {certificate.identities:.3g}, "
             f"allowed {IDENTITY_TOLERANCE:g}"
         )
     return certificate
@@ -238,18 +238,36 @@ def _identity_residual(design: Candidate) -> float:
     return max(float(np.abs(residual).max()) / scale, float(np.abs(lost).max()) / size)
 
 
-def norm_of(design: Candidate, x: Array) -> float:
-    """Return ||x||_d for the design's P and dilation."""
+def norm_of(design: Candidate, x: ArrayLike) -> float:
+    """Return ||x||_d for the design's P and dilation, x (n,).
+
+    Raises UserError for another length and for entries that are not finite.
+    """
     form = design.form
     Pz = (form.T_inverse.T @ design.P @ form.T_inverse).tolist()
-    z = (form.T @ np.asarray(x, float)).tolist()
+    z = (form.T @ _state(design, x)).tolist()
     return homogeneous_norm(norm_polynomial(Pz, z, form.exponents, design.mu), design.mu)
 
 
-def settling_time_bound(design: Candidate, x0: Array) -> float:
+def _state(design: Candidate, x: ArrayLike) -> Array:
+    names = [q.name for q in design.system.states]
+    try:
+        found = np.asarray(x, dtype=float)
+    except (TypeError, ValueError):
+        found = None
+    if found is None or found.shape != (len(names),):
+        what = shown(x) if found is None or found.ndim == 0 else f"shape {found.shape}"
+        raise UserError(f"x must be {counted(len(names), 'number')}, {', '.join(names)}, found {what}")
+    if not np.isfinite(found).all():
+        i = int(np.argmin(np.isfinite(found)))
+        raise UserError(f"x must be finite, found {found[i]} for {names[i]}")
+    return found
+
+
+def settling_time_bound(design: Candidate, x0: ArrayLike) -> float:
     """Return T(x0) [s] by which the linear closed loop has reached the origin: r0^mu / (mu alpha), r0 = ||x0||_d.
 
     It follows from d||x||_d/dt <= -alpha ||x||_d^(1-mu); at mu = 1 it is the bound r0/alpha of Corollary 1. It holds for
-    the ideal law, a_min = 0 and b_max above r0, and unlimited inputs.
+    the ideal law, a_min = 0 and b_max above r0, and unlimited inputs. x0 (n,); raises as `norm_of`.
     """
     return norm_of(design, x0) ** design.mu / (design.mu * design.alpha)

@@ -12,6 +12,7 @@ import numpy as np
 
 from filing.files import write_file
 from fmu_export.errors import UserError, shown
+from fmu_export.files import FilePath
 from fmu_export.reading import parse_json, read_text
 
 from .candidate import Candidate
@@ -86,9 +87,9 @@ class Design(Candidate):
         data = {"format": FORMAT, "system": self.system.as_dict(), "P": self.P.tolist(), **given, "derived": derived}
         return json.dumps(data, indent=1) + "\n"
 
-    def save(self, path: Path) -> None:
+    def save(self, path: FilePath) -> None:
         """Write the JSON to `path`, whole or not at all; raises UserError where it cannot be written."""
-        write_file(path, self.to_json())
+        write_file(Path(path), self.to_json())
 
     @classmethod
     def from_json(cls, text: str) -> Design:
@@ -118,9 +119,9 @@ class Design(Candidate):
         )
 
     @classmethod
-    def load(cls, path: Path) -> Design:
+    def load(cls, path: FilePath) -> Design:
         """Read a design file; errors name the file."""
-        text = read_text(path, "design")
+        text = read_text(Path(path), "design")
         try:
             return cls.from_json(text)
         except CertificateError as error:

@@ -178,6 +178,7 @@ def remarks(design: Design) -> list[str]:
         if most > MOST_NOTABLE:
             found.append(
                 f"a count of a sensor, or three deviations, moves a command by {100 * most:.0f} % of its room within the "
-                "limits: the loop may never come to rest"
+                "limits: the loop may never come to rest; a smaller `bandwidth` of the estimated disturbances, smaller "
+                "gains (`K`, or a larger R of `lqr`) or finer sensors (`resolutions`, `deviations`) lower that"
             )
     return found

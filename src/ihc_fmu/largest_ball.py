@@ -12,6 +12,7 @@ depend on coordinates. The slack is for what rounding takes from P in the coordi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -35,8 +36,8 @@ SLACK, ROUNDING = 1e-6, 1e-15
 ROUNDS, SETTLED = 12, 1e-2
 """Most centers after those, and ln X that counts as no change."""
 FEWER_DIGITS = "a smaller mu, an alpha nearer to the system's own rates and more inputs need fewer digits"
-MULTIPLIERS = 25
-"""Values of tau that are tried for a matched disturbance."""
+MULTIPLIERS = tuple(np.geomspace(1e-2, 1e2, 25).tolist())
+"""Values of tau d_max^2, a rate, relative to omega, that are tried for a matched disturbance."""
 
 
 def largest_ball(system: System, problem: Problem, omega: float, rate: float, options: Options, what: str) -> Design:
@@ -51,9 +52,9 @@ def largest_ball(system: System, problem: Problem, omega: float, rate: float, op
     if not options.d_max:
         return program.design(1.0)
     best: Design | None = None
-    for share in np.geomspace(1e-2, 1e2, MULTIPLIERS):  # tau d_max^2 is a rate
+    for share in MULTIPLIERS:
         try:
-            found = program.design(float(share * omega / options.d_max**2))
+            found = program.design(share * omega / options.d_max**2)
         except (InfeasibleError, CertificateError):
             continue
         if best is None or np.linalg.slogdet(found.P)[1] < np.linalg.slogdet(best.P)[1]:
@@ -61,6 +62,14 @@ def largest_ball(system: System, problem: Problem, omega: float, rate: float, op
     if best is None:
         raise InfeasibleError(f"{what}: no P proves the rejection of |d| <= {options.d_max:g}")
     return best
+
+
+def rejecting(
+    system: System, problem: Problem, omega: float, rate: float, options: Options, shares: Sequence[float] = MULTIPLIERS
+) -> list[float]:
+    """Return those `shares` of MULTIPLIERS with which some ball satisfies all that `largest_ball` asks for at `rate`."""
+    program = _Program(system, problem, omega, rate, options, "")
+    return [share for share in shares if program.has_ball(share * omega / options.d_max**2)]
 
 
 class _Program:
@@ -92,6 +101,10 @@ class _Program:
     def _size(self, problem: Problem) -> float:
         """Return the largest of what the bounds limit on the unit ball, relative to its bound."""
         return max((float(np.linalg.norm(row)) for row in self._rows(problem)), default=0.0) or 1.0
+
+    def has_ball(self, tau: float) -> bool:
+        """Return whether any X satisfies all inequalities strictly, with the multiplier tau."""
+        return inside(*self._sides(self.first, tau), self._start(self._first_Y())) is not None
 
     def design(self, tau: float) -> Design:
         """Return the design with the multiplier tau; where rounding ends the way, the largest ball until then, or the first.
@@ -145,12 +158,16 @@ class _Program:
     def _center(self, problem: Problem, Y: Array, tau: float, gap: float) -> tuple[Array, Array] | None:
         """Return X and Y of the center in the coordinates of `problem`, from X = I and Y; None where rounding hides it."""
         volume, sides = self._sides(problem, tau)
-        triangle = np.eye(self.system.n)[np.triu_indices(self.system.n)]
-        start = np.append(triangle, Y.ravel() if self.designed else [])
+        start = self._start(Y)
         v = inside(volume, sides, start)
         if v is not None:
             v = center(volume, sides, v, gap, near=v is start and gap < FIRST_GAPS[0])
         return None if v is None else (volume.at(v), np.tensordot(v, self.Y, 1))
+
+    def _start(self, Y: Array) -> Array:
+        """Return the v of X = I and Y."""
+        triangle = np.eye(self.system.n)[np.triu_indices(self.system.n)]
+        return np.append(triangle, Y.ravel() if self.designed else [])
 
     def _sides(self, problem: Problem, tau: float) -> tuple[Affine, list[Affine]]:
         """Return X, and what must be positive definite, X the first of it."""

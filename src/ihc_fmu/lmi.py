@@ -85,7 +85,8 @@ class Problem:
 
 def flatness(problem: Problem) -> float:
     """Return lambda_min/lambda_max of P = R' R with its diagonal scaled to 1."""
-    values = np.linalg.svd(problem.R / np.linalg.norm(problem.R, axis=0), compute_uv=False)
+    columns = problem.R / np.abs(problem.R).max(axis=0)  # whose squares stay within the range of numbers
+    values = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), compute_uv=False)
     return float(values[-1] / values[0]) ** 2
 
 

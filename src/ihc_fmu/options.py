@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, counted
 
 from .candidate import check_scalars
 
@@ -59,6 +59,7 @@ class Options:
             return None
         bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))
         if bounds.shape not in ((1,), (m,)):
-            several = "" if m == 1 else f" or {m} numbers, one for each input"
-            raise UserError(f"u_max must be a number{several}, found {len(bounds)}")
+            raise UserError(
+                f"u_max must be a number, or one for each input, found {len(bounds)} for {counted(m, 'input')}"
+            )
         return np.broadcast_to(bounds, (m,))

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise, permutations
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from fmu_export.errors import UserError
 from .block_form import BlockForm
 from .design import Design
 from .integral import check_degree, largest_mu
-from .largest_ball import FEWER_DIGITS, largest_ball
+from .largest_ball import FEWER_DIGITS, largest_ball, rejecting
 from .lmi import MARGIN, InfeasibleError, Limit, Problem, decay, faster, flatness, is_refuted, search
 from .options import SCALES, Options
 from .system import QUIET, System
@@ -34,6 +34,8 @@ FASTER, RATES = 3.0, 20
 """Factor between the rates that a direct design tries from alpha on, and their number."""
 MUS = (1.0, 0.75, 0.5, 0.25)
 """Degrees that are tried where none is given."""
+SLOWEST = 1e-5
+"""Of the largest alpha without a disturbance: the slowest one at which the rejection of a disturbance is tried."""
 SHARE_OF_ALPHA, SHARE_OF_LIMIT, ROUGH = 0.5, 0.5, 1e-2
 """What is chosen: alpha relative to the largest one, which is found to ROUGH, and u_max relative to the limits' room."""
 FLAT = 1e-8
@@ -128,7 +130,7 @@ def _rate(system: System, options: Options, bounds: Array) -> float:
 
 def _closed_form(system: System, options: Options, rate: float, bounds: Array) -> Problem:
     """Return the nilpotent system where y' y <= 1 is the unit ball of the direct design in closed form, alpha = `rate`."""
-    form = _normal(system.form, rate)
+    form = system.form.normal(rate)
     problem = _problem(form, form.N / rate, options.beta)
     B = form.Bz / rate * bounds
     F = problem.closed + DIRECT_MARGIN * np.diag(form.weights(options.mu))
@@ -195,14 +197,6 @@ def _order(system: System, order: Array, law: str) -> str:
     return f"; K seems to be in the order ({names}){law}, unlike A"
 
 
-def _normal(form: BlockForm, omega: float) -> BlockForm:
-    """Return the form with blocks scaled so that N has blocks of norm omega."""
-    factors = [1.0]
-    for here, following in reversed(list(pairwise(form.blocks))):
-        factors.insert(0, factors[0] * omega / float(np.linalg.norm(form.N[here, following], 2)))
-    return form.scaled(factors)
-
-
 def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
     """Return the inequalities of an inverse design, and omega [1/s], in which its time is scaled.
 
@@ -212,7 +206,7 @@ def _closed_loop(system: System, beta: float) -> tuple[Problem, float]:
     form = system.form
     closed = form.T @ (system.A + system.B @ system.K) @ form.T_inverse
     omega = float(np.exp(np.linalg.slogdet(closed)[1] / system.n))
-    form = _normal(form, omega)
+    form = form.normal(omega)
     closed = form.T @ (system.A + system.B @ system.K) @ form.T_inverse / omega
     slowest = float(np.linalg.eigvals(closed).real.max()) * omega
     if slowest >= 0.0:
@@ -236,14 +230,19 @@ def largest_alpha(
 
 
 @QUIET
-def largest_alpha_of(design: Design, say: Say = None) -> float:
-    """Return `largest_alpha` for the gain and mu of a design [1/s]; its P is where the search begins."""
-    problem, omega = _closed_loop(design.system, 0.0)
+def largest_alpha_of(design: Design, options: Options, say: Say = None) -> float:
+    """Return the largest alpha [1/s] for the gain and mu of a design under its `options` beside alpha, from below.
+
+    Its P is where the search begins. psi changes nothing: a small enough ball serves for any. Raises as `largest_alpha`.
+    """
+    problem, omega = _closed_loop(design.system, options.beta)
     problem = problem.to(problem.S.T @ design.P @ problem.S)
     first = design.alpha / omega
     if problem.margin(design.mu, first) <= MARGIN:
-        return largest_alpha(design.system, design.mu, say=say)
-    return faster(problem, design.mu, (first, np.inf), Limit(SEARCH_TIME, say), FINE).a * omega
+        most, problem = _fastest(design.system, design.mu, 10 * FINE, say, options.beta)
+    else:
+        most = faster(problem, design.mu, (first, np.inf), Limit(SEARCH_TIME, say), FINE).a * omega
+    return _fastest_rejecting(design.system, problem, most, options, 10 * FINE, say) if options.d_max else most
 
 
 def _fastest(system: System, mu: float, tolerance: float, say: Say, beta: float) -> tuple[float, Problem]:
@@ -261,6 +260,28 @@ def _fastest(system: System, mu: float, tolerance: float, say: Say, beta: float)
         )
         raise InfeasibleError(f"{why} for any alpha down to {1e-5 * rate:.2g} 1/s", numerical=not refuted)
     return found.a * omega, found.problem
+
+
+def _fastest_rejecting(
+    system: System, start: Problem, most: float, options: Options, tolerance: float, say: Say
+) -> float:
+    """Return the largest alpha [1/s] up to `most` at which |d| <= d_max is rejected, within the relative `tolerance`.
+
+    `start` is where P = I serves without a disturbance. What serves for an alpha serves for a smaller one, with the same
+    multiplier, so that this is a bisection that keeps the multipliers that served. Raises InfeasibleError where none does.
+    """
+    omega, limit = _closed_loop(system, options.beta)[1], Limit(SEARCH_TIME, say)
+    low, high = SLOWEST * most, most
+    shares = rejecting(system, start, omega, low, options)
+    if not shares:
+        raise InfeasibleError(
+            f"no P proves the rejection of |d| <= {options.d_max:g} for any alpha down to {low:.2g} 1/s", numerical=True
+        )
+    while high > (1.0 + tolerance) * low and not limit.reached(f"at alpha = {low:.3g} 1/s with d_max"):
+        middle = float(np.sqrt(low * high))
+        served = rejecting(system, start, omega, middle, options, shares)
+        low, high, shares = (middle, high, served) if served else (low, middle, shares)
+    return low
 
 
 @dataclass(frozen=True)
@@ -286,27 +307,36 @@ def chosen_options(
 ) -> Choice:
     """Return options for an inverse design: what is not given is chosen from the system.
 
-    mu is 1, with integral action 1/2, or the first of MUS below at which a solution is found; alpha [1/s] half of the
-    largest one at that mu; u_max half of the room that the limits leave around the equilibrium, without limits 1 for each
-    input. `rest` are other options. Raises as `largest_alpha`, and UserError for a mu that integral action does not have.
+    mu is 1, with integral action 1/2, or without d_max the first of MUS below at which a solution is found; alpha [1/s] half
+    of the largest one at that mu under the other options, found to about ROUGH; u_max half of the room that the limits leave
+    around the equilibrium, without limits 1 for each input. `rest` are other options. Raises as `largest_alpha` and
+    `Options`, and UserError for a mu that integral action does not have.
     """
-    reasons, start = [], None
+    reasons, of_bounds, start = [], [], None
     if mu is not None and system.integral is not None:
         check_degree(mu)
-    if alpha is None or mu is None:
-        most, mus = largest_mu(system), degrees(system) if mu is None else (mu,)
-        found, largest, start = _first_mu(system, mus, alpha, say)
-        if mu is None:
-            why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
-            reasons.append(f"mu = {found:g}: {'the largest for integral action' if found == most < 1.0 else why}")
-        if alpha is None:
-            alpha = SHARE_OF_ALPHA * largest
-            reasons.append(f"alpha = {alpha:.4g} 1/s: half of the largest one for which a solution is found")
-        mu = found
     if u_max is None and rest.get("delta_max") is None:
         u_max, reason = _bounds_from_limits(system)
-        reasons.append(reason)
-    return Choice(Options(mu=mu, alpha=alpha, u_max=u_max, **rest), tuple(reasons), start)
+        of_bounds.append(reason)
+    given = {"mu": largest_mu(system) if mu is None else mu, "u_max": u_max, **rest}
+    options = Options(**given if alpha is None else {**given, "alpha": alpha})
+    options.bounds(system.m)
+    if alpha is None or mu is None:
+        highest, mus = largest_mu(system), degrees(system) if mu is None and not options.d_max else (options.mu,)
+        found, largest, start = _first_mu(system, mus, alpha, options.beta, say)
+        options = replace(options, mu=found)
+        if mu is None:
+            why = "rejects disturbances" if found == 1.0 else "the largest of those tried"
+            reasons.append(f"mu = {found:g}: {'the largest for integral action' if found == highest < 1.0 else why}")
+        if alpha is None:
+            if options.d_max:
+                largest = _fastest_rejecting(system, start, largest, options, ROUGH, say)
+            options = replace(options, alpha=SHARE_OF_ALPHA * largest)
+            which = f" that rejects |d| <= {options.d_max:g}" if options.d_max else ""
+            reasons.append(
+                f"alpha = {options.alpha:.4g} 1/s: half of the largest one{which}, found to about {100 * ROUGH:g} %"
+            )
+    return Choice(options, (*reasons, *of_bounds), start)
 
 
 def degrees(system: System) -> tuple[float, ...]:
@@ -314,11 +344,13 @@ def degrees(system: System) -> tuple[float, ...]:
     return tuple(mu for mu in MUS if mu <= largest_mu(system))
 
 
-def _first_mu(system: System, mus: Sequence[float], alpha: float | None, say: Say) -> tuple[float, float, Problem]:
+def _first_mu(
+    system: System, mus: Sequence[float], alpha: float | None, beta: float, say: Say
+) -> tuple[float, float, Problem]:
     """Return the first mu for which alpha, or any, is feasible, the largest alpha there, and where P = I serves up to it."""
     for mu in mus:
         try:
-            largest, start = _fastest(system, mu, ROUGH, say, Options.beta)
+            largest, start = _fastest(system, mu, ROUGH, say, beta)
         except InfeasibleError:
             if mu == mus[-1]:
                 raise

@@ -18,15 +18,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, solve_continuous_are
 
 from filing.files import write_file
 from filing.origin import WRITTEN
 from fmu_export.errors import UserError, counted, shown
+from fmu_export.files import FilePath
 from fmu_export.reading import read_toml
 from fmu_export.variables import did_you_mean
 
 from .block_form import BlockForm, block_form
+from .riccati import regulator_gain, unseen_frequency
 
 Array = np.ndarray
 
@@ -348,7 +349,8 @@ class System:
         """Return the system with the gain of the linear-quadratic regulator, K = -R^-1 B' S.
 
         S solves A' S + S A - S B R^-1 B' S + Q = 0. Q (n, n) or (n,) for a diagonal, R (m, m) or (m,). Raises UserError for
-        weights without a stabilizing solution.
+        weights without a stabilizing solution, also where (A, B) is not controllable, and where none is found in double
+        precision.
         """
         weights = []
         for name, value, size in (("Q", Q, self.n), ("R", R, self.m)):
@@ -363,16 +365,21 @@ class System:
                 rule = "positive semidefinite" if name == "Q" else "positive definite"
                 raise UserError(f"lqr.{name} must be {rule}, found the eigenvalue {least:g}")
             weights.append(W)
-        try:
-            S = solve_continuous_are(self.A, self.B, *weights)
-            K = -np.linalg.solve(weights[1], self.B.T @ S)
-        except (LinAlgError, ValueError):
-            K = np.full((self.m, self.n), np.nan)
-        if not np.isfinite(K).all() or np.linalg.eigvals(self.A + self.B @ K).real.max() >= 0.0:
+        unseen = unseen_frequency(self.A, self.B, weights[0])
+        if unseen is not None:
+            _ = self.form  # refuses a pair that is not controllable, by its state
             raise UserError(
-                "lqr has no stabilizing solution: (A, B) must be stabilizable, and Q must see unstable states"
+                "lqr has no stabilizing solution: Q must weigh all that neither grows nor decays, found a motion at "
+                f"{unseen:.4g} rad/s that it does not"
             )
-        return self.changed(K=K)
+        K = regulator_gain(self.A, self.B, *weights)
+        if K is not None and np.linalg.eigvals(self.A + self.B @ K).real.max() < 0.0:
+            return self.changed(K=K)
+        _ = self.form
+        raise UserError(
+            "lqr could not be decided in double precision: no gain that stabilizes was found, although (A, B) is "
+            "controllable; other weights, or states in other units, may do"
+        )
 
     @classmethod
     def from_state_space(cls, model: Any, K: Array | None = None, law: str | None = None, **rest: Any) -> System:
@@ -403,8 +410,9 @@ class System:
         return cls(**{**given, **rest})
 
     @classmethod
-    def load(cls, path: Path) -> System:
+    def load(cls, path: FilePath) -> System:
         """Return the system of a TOML file; errors name the file."""
+        path = Path(path)
         data = read_toml(path, "system")
         try:
             return from_dict({"name": re.sub(r"\W|^(?=\d)", "_", path.stem, flags=re.ASCII) or "system", **data})
@@ -460,9 +468,9 @@ class System:
         text = tomli_w.dumps({"name": rest.pop("name")}) + "".join(rows.values()) + tomli_w.dumps(rest)
         return "\n".join(head) + "\n" + text
 
-    def save(self, path: Path, comment: str = "") -> None:
+    def save(self, path: FilePath, comment: str = "") -> None:
         """Write the TOML file, whole or not at all; raise UserError where it cannot be written."""
-        write_file(path, self.to_toml(comment))
+        write_file(Path(path), self.to_toml(comment))
 
 
 _OF_OUTPUTS = ("outputs", "set_points", "biases")
@@ -621,6 +629,9 @@ def _limits(value: Any) -> dict[str, Any]:
         _are_numbers(entry, 0) or (_are_numbers(entry, 1) and len(entry) == 2) for entry in value
     ):
         raise UserError(f"limits must be a number or [lower, upper] per input, found {shown(value)}")
+    for entry in value:
+        if not isinstance(entry, list) and not entry > 0.0:
+            raise UserError(f"limits must be positive where one number is for both sides, found {entry:g}")
     pairs = [entry if isinstance(entry, list) else [-entry, entry] for entry in value]
     return {"lower": [low for low, _ in pairs], "upper": [high for _, high in pairs]}
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
-from cosim.fmu import FmuError, describe
+from cosim.fmu import FmuError, Instance
 from cosim.linear_model import sample_time_for
 from cosim.linearize import linear_model
 from cosim.system_export import export_system
@@ -86,8 +86,8 @@ def test_from_its_start_it_hangs_and_parameters_count(fmus):
 
 def test_a_co_simulation_is_not_run_with_an_fmu_for_model_exchange_only(fmus, tmp_path):
     path = repacked(fmus / "QubeServo2.fmu", tmp_path / "exchange.fmu", for_model_exchange_only)
-    with pytest.raises(UserError, match=r"must be an FMI 2\.0 co-simulation FMU, found one for model exchange only"):
-        describe(path)
+    with pytest.raises(UserError, match=r"must be an FMU for co-simulation, found one for model exchange only"):
+        Instance("plant", path)
 
 
 def test_an_output_that_a_sensor_counts_is_refused_or_told(fmus):
@@ -173,7 +173,9 @@ def test_a_plant_of_pythonfmu_about_a_held_angle(plant):
     np.testing.assert_allclose(model.A, [[0, 1], [-9.81 * np.cos(1.0), -0.3]], rtol=1e-8)
     np.testing.assert_array_equal(model.B, [[0], [1]])
     assert [str(q) for q in (*model.states, *model.inputs)] == ["x [m]", "v [m]", "u [N]"]
-    with pytest.raises(UserError, match=r"no equilibrium near x = 1, u = 0: v' is -8\.25\d m/s; x is what would"):
+    with pytest.raises(
+        UserError, match=r"no equilibrium near x = 1, u = 0: v' is -8\.25\d m/s where .*; x is what would"
+    ):
         linear_model(fmu, at={"x": 1.0})
     near = linear_model(fmu, at={"x": 3.14159})
     np.testing.assert_allclose(near.x_eq, [np.pi, 0.0], rtol=1e-13)
@@ -248,6 +250,11 @@ def test_an_output_that_is_a_step_late_is_told(plant):
         ),
         ("OneWay", "max(self.u, 0.0) - x - v", "different derivatives by u to both sides"),
         ("Drift", "1.0 + 0 * self.u", r"no equilibrium near u = 0: v' is 1 m/s"),
+        (
+            "Magnet",
+            "9.81 - (self.u / (1.0 + x)) ** 2 - 0.1 * v",
+            r"no equilibrium near u = 0: v' is 9\.8\d+ m/s where the search begins; .*; free an input \(--free u\), or",
+        ),
     ],
 )
 def test_what_is_not_smooth_or_does_not_rest_is_named(plant, name, acceleration, words):
@@ -553,6 +560,10 @@ def test_the_command_writes_a_system_file_and_leaves_its_upper_part(fmus, tmp_pa
         (("--at", "delta"), "--at takes NAME=VALUE, found 'delta'"),
         (("--at", "delta=up"), "--at delta must be a number or a multiple of pi, found 'up'"),
         (("--at", "delta=0", "--at", "delta=1"), "--at must have each name once, found 'delta' twice"),
+        (
+            ("--at", "delta=1", "--free", "voltage", "--at", "theta_dot=1"),
+            r"search begins; .*; hold other values \(--at\)",
+        ),
         (("--step", "0.001"), "--step is for FMUs that are for co-simulation only"),
         (("--at", "delta=1"), "there is no equilibrium near delta = 1, voltage = 0"),
     ],
@@ -564,6 +575,10 @@ def test_the_command_refuses_in_one_sentence_and_writes_nothing(fmus, tmp_path, 
     done = ended("linearize", fmus / "QubeServo2.fmu", "--input", "voltage", *arguments, cwd=tmp_path)
     assert re.search(words, sentence(done))
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == before
+
+
+def test_a_folder_is_not_linearized(tmp_path):
+    assert sentence(ended("linearize", ".", cwd=tmp_path)) == "the file to linearize must be an FMU, found the folder ."
 
 
 @pytest.mark.parametrize(("text", "value"), [("pi", np.pi), ("-pi/2", -np.pi / 2), ("2*pi", 2 * np.pi), ("1e-3", 1e-3)])
@@ -586,6 +601,11 @@ def test_a_counted_output_of_the_linear_plant_is_named_with_what_turns_it_off(tm
     )
     export_system(inverse_design(system, chosen_options(system).options), tmp_path)
     fmu = tmp_path / "cart_linear_plant.fmu"
+    fine = {"x_resolution": 1e-5}  # the steps of differences see it
+    with pytest.raises(
+        UserError, match=r"differences give .*; x is counted \(x_resolution = 1e-05\): --set x_resolution=0"
+    ):
+        linear_model(fmu, ["u1"], ["x"], start=fine)
     with pytest.raises(UserError) as refusal:
         linear_model(fmu, ["u1"], ["x"]).system()
     assert str(refusal.value) == "x is counted (x_resolution = 0.01): --set x_resolution=0, or take --output x_true"

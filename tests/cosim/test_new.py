@@ -112,7 +112,7 @@ def test_a_name_that_is_no_identifier_is_refused(tmp_path, name):
     assert files(tmp_path) == []
 
 
-@pytest.mark.parametrize("name", ["math", "class", "Random", "pythonfmu", "con", "real"])
+@pytest.mark.parametrize("name", ["math", "class", "Random", "pythonfmu", "con", "real", "numpy", "matplotlib"])
 def test_a_name_that_python_has_is_refused(tmp_path, name):
     with pytest.raises(UserError, match="must not be one that Python has already"):
         new(name, tmp_path)

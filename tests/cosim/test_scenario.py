@@ -115,11 +115,18 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
         "run": {"step": 2e-3, "duration": 3.0, "order": "parallel", "sequence": None, "engine": "fmpy", "seed": 4},
         "plant": {
             "fmu": "Mine.fmu",
+            "interface": None,
             "parameters": "hcs",
             "measurement": "ideal",
             "start": {"delta_0": 0.2, "back_emf": False, "encoder_counts": 0, "motor_model": "inductance"},
         },
-        "controller": {"fmu": "IhcController.fmu", "design": "mine.json", "other_model": True, "start": {"law": "LC"}},
+        "controller": {
+            "fmu": "IhcController.fmu",
+            "interface": None,
+            "design": "mine.json",
+            "other_model": True,
+            "start": {"law": "LC"},
+        },
         "components": {},
         "disturbance": {
             "input": "pendulum_torque",

@@ -240,6 +240,21 @@ def test_a_wrong_entry_is_named(scenario, text, problem):
         scenario(text)
 
 
+@pytest.mark.parametrize(
+    ("wires", "problem"),
+    [
+        ("controller.forse -> plant.force", r"controller\.forse, which is no output; did you mean force\?$"),
+        ("controller.position -> plant.force", r"controller\.position, which is no output"),
+        ("controller.force -> plant.forse", r"plant\.forse, which is no input; did you mean force\?$"),
+        ("controler.force -> plant.force", r"controler\.force, which is no component's variable; did you mean cont.*"),
+    ],
+)
+def test_a_wrong_end_of_a_wire_is_said_of_the_wire(units, scenario, wires, problem):
+    chosen, folder = scenario(f'wires = ["{wires}"]\n{CART_SCENARIO}')
+    with pytest.raises(UserError, match=rf"^the wire {wires} (begins|ends) at {problem}"):
+        run_scenario(chosen, units, folder)
+
+
 def test_what_feeds_nothing_or_is_fed_by_nothing_is_refused(units, scenario):
     base = 'plant.fmu = "cart.fmu"\ncontroller.fmu = "unlike.fmu"\nrun.duration = 0.1'
     with pytest.raises(
@@ -536,6 +551,15 @@ def test_run_prints_and_draws_in_the_systems_own_words(units, place):
     assert files(place / "results") == ["cart.csv", "cart.json", "cart.png"]
 
 
+def test_numbers_that_overflow_are_said_without_warnings(units, place):
+    far = ("--set", "plant.start.x0[1]=1e300", "--fmus", units)
+    for command in (("run", "cart.toml"), ("compare", "cart.toml", "--draws", "2")):
+        done = ended(*command, *far, cwd=place)
+        assert done.returncode == 0, done.stderr
+        assert "Warning" not in done.stderr
+        assert "the numbers overflow: plant.position is not finite, or beyond 1.3e+154" in f"{done.stdout}{done.stderr}"
+
+
 def test_compare_takes_the_controllers_laws_and_runs_once_without_chance(units, place):
     done = ended("compare", "cart.toml", "--fmus", units, cwd=place)
     assert done.returncode == 0, done.stderr
@@ -769,6 +793,16 @@ def test_a_scenario_is_laid_over_a_table_of_whatever_system(units, scenario, tmp
         tmp_path / "bench.csv", chosen.changed({"plant.start.x0[1]": 0.13, "run.step": 4e-3}), units, folder, 5.0
     )
     assert all(value < 1e-12 for value in compared(same).values())  # what the right plant leaves: the clock's rounding
+
+
+def test_a_simulation_that_rests_is_said_to(units, scenario, tmp_path):
+    chosen, folder = scenario(CART_SCENARIO)
+    rests = chosen.changed({"plant.start.x0[1]": 0.0})
+    table_of(run_scenario(rests, units, folder), tmp_path / "bench.csv", ["plant.position", "controller.force"])
+    at_rest = ("--set", "plant.start.x0[1]=0")
+    done = ended("overlay", "bench.csv", "--scenario", "mine.toml", *at_rest, "--fmus", units, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.strip().startswith("note: nothing moved: all was at rest where it began")
 
 
 def test_a_result_is_made_again_with_its_own_scenario(units, scenario, tmp_path):

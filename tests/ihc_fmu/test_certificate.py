@@ -10,6 +10,7 @@ import pytest
 from scipy.linalg import eigh, expm
 
 from benchmarks.random_systems import drawn
+from fmu_export.errors import UserError
 from ihc_fmu.block_form import block_form
 from ihc_fmu.certificate import CertificateError, certify, is_positive, norm_of, settling_time_bound
 from ihc_fmu.design import Design
@@ -80,6 +81,20 @@ def test_settling_bound_shrinks_with_the_state_and_is_zero_at_the_origin(design)
     assert settling_time_bound(design, halved) == pytest.approx(settling_time_bound(design, X_0) / 2, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("x", "found"),
+    [
+        ([0.1, 0.0], r"must be 4 numbers, theta, delta, .*, found shape \(2,\)"),
+        ([0.1, 0.0, np.nan, 0.0], "must be finite, found nan for theta_dot"),
+        ("far", "must be 4 numbers, .*, found 'far'"),
+    ],
+)
+@pytest.mark.parametrize("function", [norm_of, settling_time_bound])
+def test_state_that_is_none_is_refused(design, function, x, found):
+    with pytest.raises(UserError, match=f"^x {found}"):
+        function(design, x)
+
+
 def moved_system(d, T):
     inverse = np.linalg.inv(T)
     return System(A=T @ d.A @ inverse, B=T @ d.B, K=d.K @ inverse)
@@ -132,8 +147,11 @@ def test_matched_disturbance_is_claimed_only_at_mu_one(designs):
             lambda d: {"P": chain_of(d).Phi.T @ (np.ones((4, 4)) + 0.01 * np.eye(4)) @ chain_of(d).Phi},
             r"G_d' P \+ P G_d > 0 fails: margin -",
         ),
-        (lambda d: {"alpha": 0.21}, r"\+ alpha \(G_d' P \+ P G_d\) <= 0 fails: margin -.* \(1/s relative to P\)"),
-        (lambda d: {"system": d.system.changed(K=-d.K)}, r"A \+ b k_lin Hurwitz fails: margin -"),
+        (
+            lambda d: {"alpha": 0.21},
+            r"^\(A \+ B K\)' P \+ P \(A \+ B K\) \+ alpha \(G_d' P \+ P G_d\) <= 0 fails: margin -.* \(1/s r",
+        ),
+        (lambda d: {"system": d.system.changed(K=-d.K)}, r"A \+ B K Hurwitz fails: margin -"),
         (lambda d: {"system": d.system.changed(K=0.99 * d.K)}, "<= 0 fails: margin -"),
         (lambda d: {"psi": 1e-3}, r"\+ disturbance terms <= 0 fails: margin -"),
         (lambda d: {"d_max": 0.02}, r"\+ disturbance terms <= 0 fails: margin -"),
@@ -154,7 +172,7 @@ def test_dilation_of_another_system_breaks_the_identities(design):
     other = replace(design, alpha=0.1)
     damped = design.A - np.diag([0.0, 0.0, 1e-3, 0.0])
     object.__setattr__(other, "form", block_form(damped, design.B))
-    with pytest.raises(CertificateError, match=r"= -mu A_0 and G_d b = b fail: relative residual .*, allowed 1e-08"):
+    with pytest.raises(CertificateError, match=r"= -mu A_0 and G_d B = B fail: relative residual .*, allowed 1e-08"):
         certify(other)
 
 

@@ -7,12 +7,12 @@ import pytest
 
 from fmu_export.errors import UserError
 from ihc_fmu.design import Design
-from ihc_fmu.estimation import bandwidth, estimator, noise
+from ihc_fmu.estimation import bandwidth, estimator, noise, remarks
 from ihc_fmu.pendulum.kalman import linearize
 from ihc_fmu.pendulum.nominal_model import nominal_model
 from ihc_fmu.pendulum.paper_system import PAPER_K_LIN
 from ihc_fmu.pendulum.start_values import nominal_values
-from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.synthesis import Options, chosen_options, inverse_design
 from ihc_fmu.system import Quantity, System
 from plant_fmu.parameters import PARAMETER_SETS
 from tests.ihc_fmu.pendulum.test_kalman import PUBLISHED_M
@@ -107,3 +107,12 @@ def test_state_that_cannot_be_observed_is_refused_by_name():
     integrates = cart().system.changed(integral="direct", biases=("y1",))
     with pytest.raises(UserError, match=r"cannot be told from 1 measured output; without biases there is one$"):
         estimator(replace(cart(), mu=0.5, system=integrates))
+
+
+def test_a_count_that_moves_a_command_by_much_is_said_with_what_lessens_it():
+    A, B, C, K = np.array([[0, 1], [0, -1.0]]), np.array([[0], [1.0]]), np.array([[1.0, 0]]), np.array([[-100.0, -20]])
+    low, high = np.array([-1.0]), np.array([1.0])
+    system = System(A=A, B=B, C=C, K=K, resolutions=np.array([1.0]), lower=low, upper=high)
+    (said,) = remarks(inverse_design(system, chosen_options(system).options))
+    assert said.startswith("a count of a sensor, or three deviations, moves a command by 215 % of its room")
+    assert all(entry in said for entry in ("`bandwidth`", "`K`", "`lqr`", "`resolutions`"))

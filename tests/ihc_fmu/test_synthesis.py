@@ -1,6 +1,8 @@
 """Designs by matrix inequalities: active bounds, limits of alpha, robust terms, any order and units."""
 
 import re
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -174,7 +176,7 @@ def test_requests_that_no_design_can_meet_are_refused(paper):
         inverse_design(system(A, b, k_lin[:3]))
     with pytest.raises(ValueError, match=r"one of 0\.\.3, found 4"):
         inverse_design(system(A, b, k_lin), Options(delta_max=0.1, index=4))
-    with pytest.raises(ValueError, match=r"^u_max must be a number, found 2$"):
+    with pytest.raises(ValueError, match=r"^u_max must be a number, or one for each input, found 2 for 1 input$"):
         inverse_design(system(A, b, k_lin), Options(u_max=[1.0, 2.0]))
     for limit in (1e-12, 1e308):
         given = system(A, b, k_lin).changed(lower=[-limit], upper=[limit])
@@ -263,7 +265,7 @@ def test_bound_of_each_input_is_kept(rotorcraft_like):
     design = inverse_design(rotorcraft_like, Options(alpha=0.05, u_max=bounds.tolist()))
     assert (design.u_max <= bounds * (1 + 1e-6)).all()
     assert (design.u_max / bounds).max() == pytest.approx(1.0, rel=1e-3)
-    with pytest.raises(UserError, match="u_max must be a number or 2 numbers, one for each input, found 3"):
+    with pytest.raises(UserError, match="u_max must be a number, or one for each input, found 3 for 2 inputs"):
         inverse_design(rotorcraft_like, Options(u_max=[1.0, 2.0, 3.0]))
 
 
@@ -290,6 +292,24 @@ def test_options_are_chosen_from_the_system_with_reasons(paper):
     assert inverse_design(limited, choice.options).u_max == pytest.approx(2.5, rel=1e-3)
 
 
+def test_alpha_is_chosen_under_the_options_given():
+    """Half of the largest one with which d_max is rejected, which is about where designs end to be found."""
+    given = system(*integrator_chain(2)).changed(K=[[-1.0, -2.0]])
+    choice = chosen_options(given, u_max=[0.3], d_max=0.2)
+    design = inverse_design(given, choice.options, start=choice.start)
+    assert largest_alpha_of(design, choice.options) == pytest.approx(2 * design.alpha, rel=0.02)
+    assert "half of the largest one that rejects |d| <= 0.2, found to about 1 %" in choice.reasons[1]
+    for factor, holds in ((1.95, True), (2.05, False)):
+        with nullcontext() if holds else pytest.raises(InfeasibleError, match="no P proves the rejection"):
+            inverse_design(given, replace(choice.options, alpha=factor * design.alpha))
+    with pytest.raises(
+        InfeasibleError, match=r"^no P proves the rejection of \|d\| <= 0.5 for any alpha down to 2.9e-06"
+    ):
+        chosen_options(given, u_max=[0.3], d_max=0.5)
+    psi = chosen_options(given, u_max=[0.3], psi=1e6)
+    assert inverse_design(given, psi.options, start=psi.start).psi == 1e6
+
+
 def test_degree_is_lowered_for_an_alpha_that_the_highest_one_does_not_allow(paper):
     """The largest alpha is 0.27 at mu = 1, 0.33 at 0.75, 0.44 at 0.5, 0.63 at 0.25."""
     assert chosen_options(system(*paper), alpha=0.4).options.mu == 0.5
@@ -304,7 +324,7 @@ def test_what_was_found_for_a_choice_and_a_design_is_used_again(paper):
     second = inverse_design(system(*paper), choice.options, again.append)
     assert (len(said), bool(again)) == (0, True)
     np.testing.assert_allclose(first.P, second.P, rtol=1e-6)
-    assert largest_alpha_of(first) == pytest.approx(largest_alpha(system(*paper)), rel=1e-4)
+    assert largest_alpha_of(first, Options()) == pytest.approx(largest_alpha(system(*paper)), rel=1e-4)
     other = Options(mu=1.0, alpha=0.26, u_max=1.5, beta=0.6)
     assert inverse_design(system(*paper), other, start=choice.start).certificate.monotone > 1.2
 

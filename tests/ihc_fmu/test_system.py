@@ -99,6 +99,7 @@ def test_names_carry_units(text, name, unit):
         ({"outputs": ["y", "z"]}, "outputs must come with C; without C the states are measured"),
         ({"limits": [1, 2]}, "limits must be as many as inputs, 1, found 2"),
         ({"limits": [[2, 1]]}, "limits must be apart, lower below upper, found 2 and 1 for u1"),
+        ({"limits": [-3]}, "limits must be positive where one number is for both sides, found -3"),
         ({"limits": [[1, 2]]}, "limits must leave room around the inputs at the equilibrium, found 1 and 2 around u1 = 0"),
         ({"limits": 1}, "limits must be a number or [lower, upper] per input, found 1"),
         ({"limits": [[1, 2, 3]]}, "limits must be a number or [lower, upper] per input, found [[1, 2, 3]]"),
@@ -280,8 +281,40 @@ def test_regulator_that_does_not_stabilize_is_refused(Q):
     """An unstable state that no input moves, or that the weights do not see."""
     A = np.diag([-1.0, 0.0]) if Q[0] else np.diag([0.0, -1.0])
     B = np.array([1.0, 0.0]) if Q[0] else np.array([1.0, 1.0])
-    with pytest.raises(UserError, match="lqr has no stabilizing solution"):
+    why = (
+        r"^\(A, B\) must be controllable; no input moves x2$"
+        if Q[0]
+        else "^lqr has no stabilizing solution: Q must weigh .* found a motion at 0 rad/s that it does not$"
+    )
+    with pytest.raises(UserError, match=why):
         System(A=A, B=B).with_lqr(np.array(Q), np.array([1.0]))
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "K"),
+    [
+        # the squares z of the poles solve (1e12 - z) (1e-12 + 1 - z) + 1 = 0: they are -1e6 and -1
+        ([[1e6, 1], [0, 1e-6]], [[0], [1]], [[-2.000002e12, -2.000001e6]]),
+        ([[0, 1e200], [0, 0]], [[0], [1e-200]], [[-1.0, -np.sqrt(2) * 1e200]]),  # the double integrator in other units
+    ],
+)
+def test_regulator_of_a_badly_scaled_plant_is_found_without_a_warning(A, B, K, recwarn):
+    given = {"A": A, "B": B, "lqr": {"Q": [1, 1], "R": [1]}}
+    found: Any = from_dict(given).K
+    np.testing.assert_allclose(found, K, rtol=1e-9)
+    assert not recwarn
+
+
+def test_regulator_that_double_precision_does_not_find_is_not_said_to_be_none():
+    A, B = np.array([[0, 1e-150], [1e-150, 0]]), np.array([0, 1e-150])
+    with pytest.raises(UserError, match=r"^lqr could not be decided in double precision: no gain that stabilizes"):
+        System(A=A, B=B).with_lqr(np.array([1e290, 1e-290]), np.array([1e-290]))
+
+
+def test_regulator_of_a_pair_that_is_not_controllable_names_the_state():
+    given = {"A": [[1, 0], [0, -2]], "B": [[0], [1]], "states": ["a [m]", "b"], "lqr": {"Q": [1, 1], "R": [1]}}
+    with pytest.raises(UserError, match=r"^\(A, B\) must be controllable; no input moves a$"):
+        from_dict(given)
 
 
 def test_only_column_is_for_one_input():

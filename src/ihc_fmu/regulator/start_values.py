@@ -11,7 +11,7 @@ import numpy as np
 from fmu_export.errors import UserError
 from fmu_export.variables import Interface, Value
 
-from ..block_form import scaling
+from ..block_form import combination, scaling
 from ..design import Design
 from .interface import ESTIMATORS, UNLIMITED, Shape, numbered, shown_interface
 
@@ -170,7 +170,8 @@ def design_regulator(design: Design, estimator: LinearFilter | Observer | None =
     if estimator is None and not system.measures_state:
         raise UserError(f"{system.name} does not measure its states, so that its controller needs an estimator")
     A, B, C = system.A, system.B, _array(system.C)
-    N_x, N_u = set_point_matrices(A, B, C, [system.output(name) for name in system.set_points])
+    names = [q.name for q in system.outputs]
+    N_x, N_u = set_point_matrices(A, B, C, [system.output(name) for name in system.set_points], names)
     shape = Shape(
         name=system.name,
         states=tuple((q.name, q.unit) for q in system.states),
@@ -222,11 +223,14 @@ def _bounded(limits: Array) -> Array:
     return np.clip(limits, -UNLIMITED, UNLIMITED)
 
 
-def set_point_matrices(A: Array, B: Array, C: Array, chosen: Collection[int]) -> tuple[Array, Array]:
+def set_point_matrices(
+    A: Array, B: Array, C: Array, chosen: Collection[int], names: Sequence[str] = ()
+) -> tuple[Array, Array]:
     """Return N_x (n, p), N_u (m, p): x = N_x r and u = N_u r are at rest and hold the outputs `chosen` at r.
 
     A x + B u = 0, y_i = r_i for i in `chosen`; of several solutions the smallest. Columns of other outputs are 0. Raises
-    UserError where the chosen outputs cannot all be held at will.
+    UserError where the chosen outputs cannot all be held at will, with the combination of them, by the `names` (p,) of the
+    outputs, that is 0 in every such equilibrium.
     """
     (n, m), p = B.shape, len(C)
     rows = sorted(chosen)
@@ -237,8 +241,15 @@ def set_point_matrices(A: Array, B: Array, C: Array, chosen: Collection[int]) ->
     M = np.block([[A_s, B_s], [C_s / sizes[:, None], np.zeros((len(rows), m))]])
     wanted = np.vstack([np.zeros((n, len(rows))), np.eye(len(rows))])
     found = np.linalg.lstsq(M, wanted, rcond=1e-12)[0]
-    if np.abs(M @ found - wanted).max(initial=0.0) > 1e-8:
-        raise UserError("the outputs with set-points cannot be held at any values: there is no such equilibrium")
+    left = wanted - M @ found  # orthogonal to what M reaches: in every equilibrium its last rows times y are 0
+    if np.abs(left).max(initial=0.0) > 1e-8:
+        names = names or [f"y{i}" for i in range(1, p + 1)]
+        fixed = left[n:, np.abs(left).max(axis=0).argmax()] / sizes
+        held = [names[i] for i in rows]
+        raise UserError(
+            f"set_points must be outputs that can be held at any values together, found {', '.join(held)}: at rest "
+            f"{combination(fixed, held)} stays where it is at the equilibrium, whatever the inputs"
+        )
     found = found / sizes * np.concatenate([s.states, s.inputs])[:, None]
     N = np.zeros((n + m, p))
     N[:, rows] = found

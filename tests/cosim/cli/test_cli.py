@@ -88,11 +88,13 @@ def test_direct_design_tells_its_control(tmp_path):
 def test_a_system_with_the_pendulums_name_that_is_none_is_told_that_the_name_is_why(tmp_path):
     system = "A = [[0, 1, 0], [0, 0, 1], [0, 0, 0]]\nb = [0, 0, 1]\nk_lin = [-6, -11, -6]\n"
     (tmp_path / "rotary_pendulum.toml").write_text(system, "utf-8")
-    accepted("design", "--system", "rotary_pendulum.toml", "-o", "mine.json", cwd=tmp_path)
-    assert refused("export", "--design", "mine.json", cwd=tmp_path) == (
+    said = (
         "the rotary pendulum's controller takes designs of 4 states and 1 input, found 3 and 1; without the name "
         "rotary_pendulum the system is exported for itself"
     )
+    designed = ended("design", "--system", "rotary_pendulum.toml", "-o", "mine.json", cwd=tmp_path)
+    assert (designed.returncode, " ".join(designed.stderr.split())) == (0, f"note: export will refuse this: {said}")
+    assert refused("export", "--design", "mine.json", cwd=tmp_path) == said
 
 
 def test_design_export_run_compare(tmp_path):

@@ -3,16 +3,27 @@
 import math
 import re
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from cosim.cli import display
-from cosim.cli.display import change_text, estimate_text, print_claims, print_comparison, print_results, show_table
+from cosim.cli.display import (
+    change_text,
+    estimate_text,
+    print_claims,
+    print_comparison,
+    print_design,
+    print_results,
+    show_table,
+)
 from cosim.draws import Estimate
 from cosim.experiments import Comparison, Draw
 from cosim.metrics import QUANTITIES, Metrics
 from cosim.paper.claims import Claim
 from cosim.scenario import Scenario
+from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.system import System
 
 WIDTHS = (200, 80, 60, 40)
 
@@ -87,9 +98,20 @@ def test_a_mean_has_the_digits_that_its_interval_leaves(value, half, text):
         (0.645, 0.002, "+64.5 ± 0.2 % worse"),
         (25.94, 0.48, "× 26.9 ± 0.5 worse"),
         (0.0, 0.0, "equal"),
+        (-0.71562, 1e-17, "-71.6 % better"),
         (-0.58, math.nan, "-58 %"),
         (math.nan, math.nan, "–"),
     ],
 )
 def test_a_change_is_called_better_only_where_its_interval_decides(value, half, text):
     assert change_text(Estimate(value, half)) == text
+
+
+@pytest.mark.parametrize("n", [4, 5])
+def test_a_large_design_leaves_its_p_to_the_file(shown, n):
+    """P of 4 states has its rows in the table, larger ones only their size."""
+    gain = -np.poly(-np.arange(1.0, n + 1))[:0:-1]
+    design = inverse_design(System(A=np.eye(n, k=1), B=np.eye(n)[-1], K=gain), Options(alpha=1e-3))
+    rows = [line for line in shown(200, print_design, design).splitlines() if "[" in line]
+    assert len(rows) == 2 + (n if n <= 4 else 0)  # K, K - K_0 and P
+    assert (f"│ {n} x {n}, in the file" in shown(200, print_design, design)) == (n > 4)

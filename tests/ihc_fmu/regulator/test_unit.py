@@ -379,11 +379,16 @@ def test_set_points_are_held_by_the_states_and_inputs_at_rest():
 
 
 def test_set_points_that_cannot_be_held_are_refused():
-    """The velocity of a double integrator, and more outputs than inputs."""
+    """The velocity of a double integrator, and more outputs than inputs; what is fixed at rest is named."""
     A, B = np.eye(2, k=1), np.array([[0.0], [1.0]])
-    for C, chosen in ((np.array([[0.0, 1.0]]), (0,)), (np.eye(2), (0, 1))):
-        with pytest.raises(ValueError, match="cannot be held at any values: there is no such equilibrium"):
-            set_point_matrices(A, B, C, chosen)
+    lags = -np.diag([1.0, 2.0])  # at rest x1 = u and x2 = u / 2
+    for A_of, B_of, chosen, said in (
+        (A, B, (1,), "found v: at rest v stays where"),
+        (A, B, (0, 1), "found x, v: at rest v stays where"),
+        (lags, np.ones((2, 1)), (0, 1), r"found x, v: at rest - 0.5 x \+ v stays where"),
+    ):
+        with pytest.raises(ValueError, match=rf"^set_points must be outputs .* together, {said}"):
+            set_point_matrices(A_of, B_of, np.eye(2), chosen, ("x", "v"))
 
 
 def test_first_norm_is_that_of_the_first_measurement():
