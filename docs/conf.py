@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from docutils import nodes
+from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.util import logging
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
@@ -43,6 +45,8 @@ default_role = "py:obj"
 
 smartquotes = False  # x' is a derivative
 
+highlight_language = "text"  # what is indented; fenced blocks say their language
+
 nitpicky = True
 nitpick_ignore_regex = [
     (r"py:obj", r".*"),  # single backquotes in docstrings: a link where it is a public name, otherwise code
@@ -66,6 +70,8 @@ html_theme_options = {
 html_sidebars = {"docs/index": []}
 html_copy_source = False
 html_show_sourcelink = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_additional_pages = {"index": "to_start.html"}
 templates_path = ["templates"]
 html_math_renderer = "mathml"
@@ -98,8 +104,13 @@ def shield_bars(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines
 
 
 def visit_math(self: Any, node: nodes.math) -> None:
-    """Write an equation as MathML."""
-    self.body.append(tex2mathml(node.astext(), as_block=isinstance(node, nodes.math_block)))
+    """Write an equation as MathML; an equation that docutils cannot read is a warning."""
+    is_block = isinstance(node, nodes.math_block)
+    begin, end = ('<div class="equation">', "</div>") if is_block else ("", "")
+    try:
+        self.body.append(begin + tex2mathml(node.astext(), as_block=is_block) + end)
+    except MathError as error:
+        logging.getLogger(__name__).warning("%s", error, location=node)
     raise nodes.SkipNode
 
 

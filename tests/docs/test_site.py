@@ -76,3 +76,9 @@ def test_every_page_is_listed_once(page):
     lists = [(ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in LISTS]
     items = [item for text in lists for item in re.findall(r"^- \[[^\n]+?\]\(([\w./]+)\)", text, flags=re.MULTILINE)]
     assert items.count(page.name) == (0 if page.name == "index.md" else 1)
+
+
+def test_equations_are_mathml(site):
+    for source in (ROOT / "docs").glob("*.md"):
+        page = (site / "docs" / f"{source.stem}.html").read_text(encoding="utf-8")
+        assert page.count('<div class="equation"><math') == source.read_text(encoding="utf-8").count("\n$$\n") // 2
