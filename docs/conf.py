@@ -40,7 +40,6 @@ autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
 autodoc_default_options = {"members": True, "undoc-members": False}
 napoleon_google_docstring = False
-napoleon_use_rtype = False
 default_role = "py:obj"
 
 smartquotes = False  # x' is a derivative
