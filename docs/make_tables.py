@@ -4,7 +4,7 @@
     python docs/make_tables.py --examples
 
 The first needs `comparison.json` of each scenario that the README shows; the second designs, exports and runs what is in
-examples/, which takes a minute or two, for own_plant.md.
+examples/, which takes a minute or two, for benefit.md.
 """
 
 from __future__ import annotations
@@ -233,13 +233,13 @@ def main() -> int:
     """Write the files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, help="folder of the comparisons; none: the README stays as it is")
-    parser.add_argument("--examples", action="store_true", help="run the examples for own_plant.md")
+    parser.add_argument("--examples", action="store_true", help="run the examples for benefit.md")
     given = parser.parse_args()
     files = rendered() | ({} if given.results is None else {README: readme(given.results)})
     if given.examples:
         from example_table import tables  # noqa: PLC0415 - beside this file, and heavy
 
-        files[DOCS / "own_plant.md"] = _with_table("own_plant.md", "examples", tables())
+        files[DOCS / "benefit.md"] = _with_table("benefit.md", "examples", tables())
     for path, text in files.items():
         path.write_text(text, encoding="utf-8")
         print(path.name)
