@@ -222,9 +222,8 @@ def rendered() -> dict[Path, str]:
     return {
         DOCS / "variables.md": variables(),
         DOCS / "command_line.md": command_line(),
-        DOCS / "cosimulation.md": _between(
-            _with_table("cosimulation.md", "scenario entries", scenario_entries()), "metrics", metrics()
-        ),
+        DOCS / "scenarios.md": _with_table("scenarios.md", "scenario entries", scenario_entries()),
+        DOCS / "metrics.md": _with_table("metrics.md", "metrics", metrics()),
         DOCS / "hil.md": _with_table("hil.md", "fault kinds", fault_kinds()),
     }
 

@@ -132,6 +132,6 @@ def test_every_entry_of_a_system_file_is_documented():
 
 
 def test_the_example_scenario_is_valid():
-    text = (ROOT / "docs" / "cosimulation.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
     example = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)[0]
     assert Scenario.model_validate(tomllib.loads(example)).disturbance.gain == 60.0
