@@ -38,8 +38,9 @@ myst_heading_anchors = 3
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
 autodoc_member_order = "bysource"
-autodoc_default_options = {"members": True, "undoc-members": False}
+autodoc_default_options = {"members": True}
 napoleon_google_docstring = False
+napoleon_use_ivar = True  # attributes in a docstring and in the class are one
 default_role = "py:obj"
 
 smartquotes = False  # x' is a derivative
