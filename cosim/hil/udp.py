@@ -40,6 +40,8 @@ MOST_BYTES = 1024
 
 REPLY_TIME = 0.2
 """How long an answer may take [s] before the message is sent again."""
+BEGINNINGS = 12
+"""How often a message that begins a session is sent: nothing moves yet, and the device's computer may be busy."""
 LOCKSTEP_TIME = 0.01
 """How long the answer to a command in lockstep may take [s] before the command is sent again."""
 SESSION_TIME = 1.0
@@ -124,11 +126,11 @@ class UdpDevice:
             raise UnavailableError(f"the address {self.address[0]}:{self.address[1]} cannot be used: {error}") from None
         self._socket.setblocking(False)
         self._session = secrets.randbits(32)
-        self._exchange(HELLO, b"", WELCOME)
+        self._exchange(HELLO, b"", WELCOME, BEGINNINGS)
 
     def start(self, period: float) -> None:
         """Let the device begin; its first sample is the answer."""
-        message = self._exchange(START, START_BODY.pack(period, not self.real_time), MEASUREMENT)
+        message = self._exchange(START, START_BODY.pack(period, not self.real_time), MEASUREMENT, BEGINNINGS)
         self._take(message)
         self._first = True
 
@@ -189,11 +191,11 @@ class UdpDevice:
             self._socket = None
         return []
 
-    def _exchange(self, kind: int, body: bytes, wanted: int) -> Message:
-        """Send until the wanted answer comes; raise UnavailableError or DeviceError where it does not."""
+    def _exchange(self, kind: int, body: bytes, wanted: int, times: int = 1 + RETRIES) -> Message:
+        """Send, at most so many times, until the wanted answer comes; raise UnavailableError or DeviceError without it."""
         assert self._socket is not None
         self._sent += 1
-        for _ in range(1 + RETRIES):
+        for _ in range(times):
             try:
                 self._post(kind, body, again=True)
                 until = time.monotonic() + REPLY_TIME
