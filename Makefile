@@ -42,4 +42,4 @@ $(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from
 	@echo "Installed."
 
 clean:
-	rm -rf $(VENV) results fmus/*.fmu
+	rm -rf $(VENV) build results fmus/*.fmu
