@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo paper test lint sanitizers versions dist dist-check bench clean
+.PHONY: demo paper test lint sanitizers docs versions dist dist-check bench clean
 
 demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compare
 	$(BIN)/qube-ihc demo
@@ -24,6 +24,10 @@ lint: $(VENV)/installed
 
 sanitizers: $(VENV)/installed   ## the C sources under the address and undefined behaviour sanitizers of gcc or clang; a part of make test
 	$(BIN)/pytest tests/fmu_export/test_sanitizers.py tests/plant_fmu/linear/test_sources.py
+
+docs: $(VENV)/installed   ## the site, in build/site; a warning fails it
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet --conf-dir docs --doctree-dir build/site-cache . build/site
+	@echo "build/site/index.html"
 
 versions: $(VENV)/installed   ## the lowest declared versions, and newer Pythons where installed: a smoke test in an environment of each
 	$(BIN)/python -m tests.environments
@@ -50,4 +54,4 @@ $(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from
 	@echo "Installed."
 
 clean:
-	rm -rf $(VENV) results dist fmus/*.fmu
+	rm -rf $(VENV) build dist results fmus/*.fmu

@@ -4,7 +4,7 @@
     python docs/make_tables.py --examples
 
 The first needs `comparison.json` of each scenario that the README shows; the second designs, exports and runs what is in
-examples/, which takes a minute or two, for own_plant.md.
+examples/, which takes a minute or two, for benefit.md.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import typer.main
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from cosim.cli import app
 from cosim.draws import Estimate, change_text, estimate_text
 from cosim.hil.faults import KINDS
 from cosim.inputs import KINDS as KINDS_OF_SIGNALS
@@ -71,6 +73,46 @@ def _limits(v: Variable) -> str:
     if v.min is None and v.max is None:
         return ""
     return f"{'' if v.min is None else f'{v.min:g}'} ... {'' if v.max is None else f'{v.max:g}'}".strip()
+
+
+def command_line() -> str:
+    """Return command_line.md: every command with its arguments and options."""
+    program: Any = typer.main.get_command(app)
+    parts = [
+        "# Command line\n\nMade by `docs/make_tables.py` of what `qube-ihc COMMAND --help` says. `python -m cosim` is the "
+        "same program.\n",
+        _parameters(program),
+        "How a command ends, with which exit code and what is left, is told in "
+        "[Co-simulation](cosimulation.md#how-a-command-ends).\n",
+    ]
+    for name, command in program.commands.items():
+        arguments = [_argument(p) for p in command.params if p.param_type_name == "argument"]
+        usage = " ".join(["qube-ihc", name, "[OPTIONS]", *arguments])
+        parts += [f"## `{name}`\n\n{command.help}\n\n    {usage}\n", _parameters(command)]
+    return "\n".join(parts)
+
+
+def _parameters(command: Any) -> str:
+    lines = ["| | default | meaning |", "|---|---|---|"]
+    for p in command.params:
+        if p.param_type_name == "argument":
+            names, default = f"`{_argument(p)}`", "required" if p.required else _default(p.default)
+        else:
+            value = "" if p.metavar is None else f" {p.metavar}"
+            names = ", ".join(f"`{flag}{value}`" for flag in (*p.opts, *p.secondary_opts))
+            default = _default(p.default)
+        lines.append(f"| {names} | {default} | {_plain(p.help or '')} |")
+    return "\n".join(lines) + "\n"
+
+
+def _argument(parameter: Any) -> str:
+    return parameter.name.upper() + (" ..." if parameter.nargs == -1 else "")
+
+
+def _default(value: Any) -> str:
+    if value in (None, False, ""):
+        return ""
+    return "on" if value is True else f"`{getattr(value, 'value', value)}`"
 
 
 def scenario_entries() -> str:
@@ -178,9 +220,9 @@ def rendered() -> dict[Path, str]:
     """Return each file's whole text, as it should be."""
     return {
         DOCS / "variables.md": variables(),
-        DOCS / "cosimulation.md": _between(
-            _with_table("cosimulation.md", "scenario entries", scenario_entries()), "metrics", metrics()
-        ),
+        DOCS / "command_line.md": command_line(),
+        DOCS / "scenarios.md": _with_table("scenarios.md", "scenario entries", scenario_entries()),
+        DOCS / "metrics.md": _with_table("metrics.md", "metrics", metrics()),
         DOCS / "hil.md": _with_table("hil.md", "fault kinds", fault_kinds()),
     }
 
@@ -189,13 +231,13 @@ def main() -> int:
     """Write the files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, help="folder of the comparisons; none: the README stays as it is")
-    parser.add_argument("--examples", action="store_true", help="run the examples for own_plant.md")
+    parser.add_argument("--examples", action="store_true", help="run the examples for benefit.md")
     given = parser.parse_args()
     files = rendered() | ({} if given.results is None else {README: readme(given.results)})
     if given.examples:
         from example_table import tables  # noqa: PLC0415 - beside this file, and heavy
 
-        files[DOCS / "own_plant.md"] = _with_table("own_plant.md", "examples", tables())
+        files[DOCS / "benefit.md"] = _with_table("benefit.md", "examples", tables())
     for path, text in files.items():
         path.write_text(text, encoding="utf-8")
         print(path.name)

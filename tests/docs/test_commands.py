@@ -25,7 +25,8 @@ from ihc_fmu.pendulum.start_values import default_design
 from tests.cosim.command import PLAIN, ended
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "fmus/README.md")]
+PAGES += sorted((ROOT / "docs").glob("*.md"))
 STAND_IN = ROOT / "tests" / "cosim" / "hil" / "stand_in"
 FENCE = re.compile(
     r"^(?:<!-- (?:not run: (?P<reason>.+?)|(?P<output>output)) -->\n)?```(?P<language>.*?)\n(?P<body>.*?)^```$",

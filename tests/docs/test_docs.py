@@ -17,7 +17,8 @@ from ihc_fmu.pendulum.start_values import default_design
 from ihc_fmu.system import ENTRIES
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", ROOT / "fmus" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "fmus/README.md")]
+PAGES += sorted((ROOT / "docs").glob("*.md"))
 
 
 def load(name):
@@ -88,7 +89,7 @@ def test_the_readme_says_what_the_laws_do_without_sensors(tmp_path):
 def test_what_the_examples_tables_say_of_the_servo_is_so():
     """The other rows are made in the same way, by hand with `make_tables.py --examples`."""
     marks, examples = load_make_tables(), load("example_table")
-    page = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "benefit.md").read_text(encoding="utf-8")
     found = page.split(marks.START.format("examples"))[1].split(marks.END)[0].strip().splitlines()
     assert [cells(line)[0] for line in found[2:7]] == [e.name for e in examples.ALL]
     (servo,) = [e for e in examples.ALL if e.name == "servo"]
@@ -123,7 +124,7 @@ def test_commands_in_the_text_exist(page):
 
 
 def test_every_entry_of_a_system_file_is_documented():
-    page = (ROOT / "docs" / "own_plant.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "system_file.md").read_text(encoding="utf-8")
     table = page.split("## All entries of a system file")[1].split("\n**")[0]
     rows = [line for line in table.splitlines() if line.startswith("| `")]
     named = {name for row in rows for cell in cells(row)[:2] for name in re.findall(r"`(\w+)`", cell)}
@@ -131,6 +132,6 @@ def test_every_entry_of_a_system_file_is_documented():
 
 
 def test_the_example_scenario_is_valid():
-    text = (ROOT / "docs" / "cosimulation.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
     example = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)[0]
     assert Scenario.model_validate(tomllib.loads(example)).disturbance.gain == 60.0
