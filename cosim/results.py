@@ -112,7 +112,7 @@ class Result(Recording):
         Parameters
         ----------
         path
-            The table, *.csv.
+            The table, a CSV file.
 
         Raises
         ------
@@ -139,7 +139,7 @@ class Result(Recording):
         Parameters
         ----------
         path
-            The table, *.csv.
+            The table, a CSV file.
 
         Returns
         -------

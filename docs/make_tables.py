@@ -3,8 +3,8 @@
     qube-ihc demo && qube-ihc compare disturbed && python docs/make_tables.py --results results
     python docs/make_tables.py --examples
 
-The first needs `comparison.json` of each scenario that the README shows; the second designs, exports and runs what is in
-examples/, which takes a minute or two, for benefit.md.
+The first needs `comparison.json` of each scenario that README and results.md show; the second designs, exports and runs
+what is in examples/, which takes a minute or two, for benefit.md.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from plant_fmu.interface import INTERFACE as PLANT
 from plant_fmu.interface import start_values as plant_start_values
 
 DOCS = Path(__file__).parent
-README = DOCS.parent / "README.md"
+COMPARED = DOCS.parent / "README.md", DOCS / "results.md"
+"""Pages with tables of comparisons."""
 START, END = "<!-- {}: made by docs/make_tables.py -->\n", "<!-- end -->"
 
 
@@ -164,13 +165,13 @@ SHOWN = {
     "tilt_ideal": ("ideal sensors", "IHC, a_min 0.2"),
     "disturbed": ("encoders, velocity filter, disturbance of G = 60", "IHC, a_min 0.88"),
 }
-"""The scenarios that the README shows: what is measured with, and which IHC it is."""
+"""The scenarios that the pages show: what is measured with, and which IHC it is."""
 
 COLUMNS = ("settling_time", "integral_q2", "steady_rms", "energy", "voltage_variation")
 
 
 def comparison(name: str, about: dict[str, Any]) -> str:
-    """Return the README's table of a comparison, from its comparison.json."""
+    """Return the table of a comparison, from its comparison.json."""
     chain, ihc = SHOWN[name]
     count = about["draws"]
     drawn = f", {count} draws" if count > 1 else ""
@@ -192,12 +193,13 @@ def comparison(name: str, about: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def readme(results: Path) -> str:
-    """Return the README's text with the tables of the comparisons in `results`."""
-    text = README.read_text(encoding="utf-8")
+def compared(page: Path, results: Path) -> str:
+    """Return a page's text with the tables of the comparisons in `results` that it shows."""
+    text = page.read_text(encoding="utf-8")
     for name in SHOWN:
-        about = json.loads((results / name / "comparison.json").read_text(encoding="utf-8"))
-        text = _between(text, f"comparison {name}", comparison(name, about))
+        if START.format(f"comparison {name}") in text:
+            about = json.loads((results / name / "comparison.json").read_text(encoding="utf-8"))
+            text = _between(text, f"comparison {name}", comparison(name, about))
     return text
 
 
@@ -230,10 +232,10 @@ def rendered() -> dict[Path, str]:
 def main() -> int:
     """Write the files."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", type=Path, help="folder of the comparisons; none: the README stays as it is")
+    parser.add_argument("--results", type=Path, help="folder of the comparisons; none: their tables stay as they are")
     parser.add_argument("--examples", action="store_true", help="run the examples for benefit.md")
     given = parser.parse_args()
-    files = rendered() | ({} if given.results is None else {README: readme(given.results)})
+    files = rendered() | ({} if given.results is None else {page: compared(page, given.results) for page in COMPARED})
     if given.examples:
         from example_table import tables  # noqa: PLC0415 - beside this file, and heavy
 

@@ -52,10 +52,10 @@ def cells(line):
 
 
 @pytest.mark.parametrize("name", ["tilt", "tilt_kalman", "tilt_ideal", "disturbed"])
-def test_the_readmes_comparisons_have_the_form_that_make_tables_gives_them(name):
+def test_comparisons_on_the_pages_have_the_form_that_make_tables_gives_them(name):
     """The numbers of many draws are made by hand with `make_tables.py --results`; their form is tested."""
     tables = load_make_tables()
-    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = "".join(path.read_text(encoding="utf-8") for path in tables.COMPARED)
     found = page.split(tables.START.format(f"comparison {name}"))[1].split(tables.END)[0].strip().splitlines()
     pair = [1.0, 0.1] if name != "tilt_ideal" else [1.0, None]
     numbers = dict.fromkeys(tables.COLUMNS, pair)
