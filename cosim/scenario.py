@@ -64,7 +64,7 @@ class RunSection(_Section):
     )
     engine: Engine = Field(
         "auto",
-        description="loop: native (C) or fmpy (Python), to the same result; auto: native unless an FMU is Python",
+        description="loop: native (C) or fmpy (Python), to the same result; auto: native unless an FMU is Python or for model exchange",
     )
     seed: int | None = Field(
         None,
@@ -79,7 +79,7 @@ _FMU = "name of a file in the folder given to the command or beside the scenario
 
 
 _INTERFACE = (
-    "CoSimulation: by the FMU's own steps; ModelExchange: integrated by CVode; none: CoSimulation where the FMU has it"
+    "CoSimulation: by the FMU's own steps; ModelExchange: integrated by SciPy; none: CoSimulation where the FMU has it"
 )
 
 
