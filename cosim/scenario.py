@@ -64,8 +64,8 @@ class RunSection(_Section):
     )
     engine: Engine = Field(
         "auto",
-        description="loop: native (C) or fmpy (Python), to the same result; auto: native unless an FMU is Python or for model "
-        "exchange",
+        description="loop: native (C) or fmpy (Python), to the same result; auto: native unless an FMU is Python or for "
+        "model exchange",
     )
     seed: int | None = Field(
         None,
