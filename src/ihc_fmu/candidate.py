@@ -19,23 +19,7 @@ Array = np.ndarray
 class Candidate:
     """An implicit homogeneous controller for x' = A x + B u, in whose numbers nothing is proven yet.
 
-    Parameters
-    ----------
-    system
-        (A, B), the linear controller u = K x that the IHC equals on ||x||_d = 1, names, units, limits.
-    P
-        Shape (n, n): the ellipsoid x' P x <= 1 is the unit ball of ||x||_d.
-    mu
-        Minus the degree of homogeneity, in (0, 1].
-    alpha
-        Decrease d||x||_d/dt <= -alpha ||x||_d^(1-mu) [1/s].
-    psi, d_max, tau
-        The terms of Remark 3, d_max in units of u; 0: none.
-
-    Raises
-    ------
-    UserError
-        For numbers that no design can have.
+    The numbers are those of `Design`, which proves them. Raises UserError for numbers that no design can have.
     """
 
     system: System

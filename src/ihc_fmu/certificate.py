@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_export.errors import UserError, counted, shown
+from fmu_export.errors import UserError
 
 from .homogeneity import homogeneous_norm, norm_polynomial
+from .system import vector
 
 if TYPE_CHECKING:
     from .candidate import Candidate
@@ -281,17 +282,11 @@ def norm_of(design: Candidate, x: ArrayLike) -> float:
 
 
 def _state(design: Candidate, x: ArrayLike) -> Array:
-    names = [q.name for q in design.system.states]
-    try:
-        found = np.asarray(x, dtype=float)
-    except (TypeError, ValueError):
-        found = None
-    if found is None or found.shape != (len(names),):
-        what = shown(x) if found is None or found.ndim == 0 else f"shape {found.shape}"
-        raise UserError(f"x must be {counted(len(names), 'number')}, {', '.join(names)}, found {what}")
+    states = design.system.states
+    found = vector("x", x, states)
     if not np.isfinite(found).all():
         i = int(np.argmin(np.isfinite(found)))
-        raise UserError(f"x must be finite, found {found[i]} for {names[i]}")
+        raise UserError(f"x must be finite, found {found[i]} for {states[i].name}")
     return found
 
 

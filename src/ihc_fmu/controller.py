@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fmu_export.errors import UserError, counted, shown
+from fmu_export.errors import UserError
 from fmu_export.shown import Showing
 from fmu_export.variables import Interface, Value, did_you_mean
 
@@ -32,6 +32,7 @@ from .regulator.interface import INTERFACE, MODES, OUTPUTS, numbered
 from .regulator.start_values import LinearFilter, Regulator, design_regulator
 from .regulator.unit import HomogeneousControllerUnit
 from .sampled_unit import FAULTS
+from .system import vector
 
 Array = np.ndarray
 
@@ -177,15 +178,8 @@ class Controller:
             raise UserError(self._showing.sentence(str(error))) from None
 
     def _measured(self, y: ArrayLike) -> list[float]:
-        names = [q.name for q in self.design.system.outputs]
-        try:
-            found = np.asarray(y, dtype=float)
-        except (TypeError, ValueError):
-            found = None
-        if found is None or found.shape != (len(names),):
-            what = shown(y) if found is None or found.ndim == 0 else f"shape {found.shape}"
-            raise UserError(f"y must be {counted(len(names), 'number')}, {', '.join(names)}, found {what}")
-        return [*found.tolist(), *[0.0] * (OUTPUTS - len(names))]
+        outputs = self.design.system.outputs
+        return [*vector("y", y, outputs).tolist(), *[0.0] * (OUTPUTS - len(outputs))]
 
     def _set_points(self) -> list[float]:
         """Return the set-points of the compiled table; those that are not shown stay at the equilibrium."""

@@ -703,6 +703,19 @@ def _check_unique(names: Sequence[str], kind: str) -> None:
             raise UserError(f"{kind} must have different names, found {shown(name)} twice")
 
 
+def vector(what: str, values: ArrayLike, quantities: Sequence[Quantity]) -> Array:
+    """Return a number for each quantity as an array; raise UserError that calls them `what` for another length."""
+    names = [q.name for q in quantities]
+    try:
+        found = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        found = None
+    if found is None or found.shape != (len(names),):
+        seen = shown(values) if found is None or found.ndim == 0 else f"shape {found.shape}"
+        raise UserError(f"{what} must be {counted(len(names), 'number')}, {', '.join(names)}, found {seen}")
+    return found
+
+
 def _matrix(name: str, value: object, *, flat: bool = False) -> Array:
     """Return a matrix of finite numbers; with `flat` a row of numbers may stand for a column."""
     try:
