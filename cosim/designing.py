@@ -99,12 +99,11 @@ def beyond_limits(design: Design) -> list[str]:
     for q, size, room in zip(design.system.inputs, design.u_max, design.system.room, strict=True):
         if size <= SHARE_OF_LIMIT * room * (1.0 + ROUNDING):
             continue
-        unit = "" if q.unit == "1" else f" {q.unit}"
         half, what = ("", "it") if size > room else ("half of ", "with the linear part K_0 x it")
         said.append(
-            f"the homogeneous part of {q.name} reaches {size:.4g}{unit} on the unit ball, more than {half}the "
-            f"{room:.4g}{unit} that the limits leave around the equilibrium: {what} may be cut off inside the ball, where "
-            "the proof then does not hold"
+            f"the homogeneous part of {q.name} reaches {size:.4g}{q.suffix} on the unit ball, more than {half}the "
+            f"{room:.4g}{q.suffix} that the limits leave around the equilibrium: {what} may be cut off inside the ball, "
+            "where the proof then does not hold"
         )
     return said
 
@@ -147,9 +146,7 @@ def prospect(design: Design, options: Options, direct: bool, say: Say) -> str:
     if direct:
         K, inputs = design.K, design.system.inputs
         most = np.sqrt(np.einsum("ij,ji->i", K, np.linalg.solve(design.P, K.T)))
-        parts = (
-            f"|{q.name}| <= {u:.4g}{'' if q.unit == '1' else ' ' + q.unit}" for u, q in zip(most, inputs, strict=True)
-        )
+        parts = (f"|{q.name}| <= {u:.4g}{q.suffix}" for u, q in zip(most, inputs, strict=True))
         where = "without d_max any alpha" if options.d_max else "any alpha"
         return f"on the unit ball {', '.join(parts)}; {where} has a solution, a larger one with a smaller ball"
     try:

@@ -86,8 +86,8 @@ class Design(Candidate):
             What it is, and the numbers; a matrix has a line for each row.
         """
         system = self.system
-        largest = (f"{q.name} {u:.6g}{_unit(q.unit)}" for q, u in zip(system.inputs, self.u_max, strict=True))
-        extent = (f"{q.name} {x:.4g}{_unit(q.unit)}" for q, x in zip(system.states, self.extent, strict=True))
+        largest = (f"{q.name} {u:.6g}{q.suffix}" for q, u in zip(system.inputs, self.u_max, strict=True))
+        extent = (f"{q.name} {x:.4g}{q.suffix}" for q, x in zip(system.states, self.extent, strict=True))
         poles = np.linalg.eigvals(self.A + self.B @ self.K)
         whole = self.n <= LARGEST_SHOWN
         return [
@@ -276,7 +276,3 @@ def _is_numbers(value: object, levels: int) -> bool:
 
 def _rows(matrix: Iterable[Iterable[float]]) -> str:
     return "\n".join("[" + ", ".join(f"{v:.6g}" for v in row) + "]" for row in matrix)
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"

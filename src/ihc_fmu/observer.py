@@ -94,7 +94,7 @@ def remark(design: Design) -> str:
         nearer = "; a nu nearer to 0 may have one" if found.nu else ""
         return f"{what} is not proven: no proof was found that its errors vanish{nearer}"
     sizes = zip(design.system.states, proof.reach, strict=True)
-    reach = ", ".join(f"{q.name} {size:.3g}{'' if q.unit == '1' else ' ' + q.unit}" for q, size in sizes)
+    reach = ", ".join(f"{q.name} {size:.3g}{q.suffix}" for q, size in sizes)
     return f"{what} is proven, by eigenvalues: without noise errors vanish within an ellipsoid that reaches to {reach}"
 
 

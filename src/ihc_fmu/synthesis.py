@@ -495,9 +495,7 @@ def _bounds_from_limits(system: System) -> tuple[list[float], str]:
                 f"u_max where none is given, found {size:g} for {q.name}"
             )
     bounds = np.where(limited, SHARE_OF_LIMIT * room, 1.0).tolist()
-    shown = ", ".join(
-        f"{bound:g}{'' if q.unit == '1' else ' ' + q.unit}" for bound, q in zip(bounds, system.inputs, strict=True)
-    )
+    shown = ", ".join(f"{bound:g}{q.suffix}" for bound, q in zip(bounds, system.inputs, strict=True))
     half = "half of the room within the limits"
     source = half if limited.all() else "1 without limits" if not limited.any() else f"{half}, without limits 1"
     return bounds, f"u_max = {shown}: the homogeneous part of the control on the unit ball; {source}"

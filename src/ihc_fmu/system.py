@@ -63,6 +63,11 @@ class Quantity(NamedTuple):
     def __str__(self) -> str:
         return self.name if self.unit == "1" else f"{self.name} [{self.unit}]"
 
+    @property
+    def suffix(self) -> str:
+        """What stands behind a number: a blank and the unit, nothing without one."""
+        return "" if self.unit == "1" else f" {self.unit}"
+
     @classmethod
     def parse(cls, text: str, what: str = "a quantity") -> Quantity:
         """Return the quantity that "position [m]" or "position" means; the bracket of a unit stands behind a blank.
