@@ -56,6 +56,8 @@ from .wiring import CONTROLLER
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from ihc_fmu.design import Design
+
 LAWS = ("LC", "SMC", "IHC")
 """Names of laws, in the order of tables."""
 LAW = "controller.start.law"
@@ -149,6 +151,55 @@ class Comparison:
         from .plots import errors_of  # noqa: PLC0415 - heavy
 
         return errors_of(self.results)
+
+    def report(
+        self,
+        path: FilePath,
+        *,
+        notes: Sequence[str] = (),
+        design: Design | None = None,
+        folder: FilePath | None = None,
+    ) -> Path:
+        """Write a page about the comparison, HTML in one file: tables, remarks, plots to zoom into, what was run.
+
+        Parameters
+        ----------
+        path
+            The page, `*.html`.
+        notes
+            What is to be known besides the remarks.
+        design
+            The controller's design, whose certificate the page shows; None: no certificate.
+        folder
+            Where `save` writes the comparison to, to whose tables the page has links; None: no links.
+
+        Returns
+        -------
+        pathlib.Path
+            The page.
+
+        Raises
+        ------
+        UserError
+            Where it cannot be written, or would replace a file of somebody else.
+        """
+        from .report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
+
+        measure = measure_of(self.quantities, "integral")
+        base, *others = self.of_law
+        verdicts = [
+            Verdict(change_text(self.change(law, base, measure.name)), f"{measure.symbol} of {law} over {base}")
+            for law in others
+        ]
+        tables = [Table(title.partition(": ")[2], headings, rows) for title, headings, rows in self.tables()]
+        return write_results(
+            path,
+            self.results,
+            self.scenario.description or self.scenario.name,
+            Findings(verdicts, tables, notes, self.remarks()),
+            design,
+            {} if folder is None else {law: Path(folder) / f"{law}.csv" for law in self.results},
+        )
 
     @property
     def quantities(self) -> Mapping[str, Quantity]:

@@ -22,12 +22,12 @@ from fmpy.model_description import ModelDescription
 
 from fmu_export.errors import UserError
 from fmu_export.reading import read_text
-from ihc_fmu.design import DESIGN_FILE, Design
+from ihc_fmu.design import Design
 from ihc_fmu.pendulum.interface import STATES
 from ihc_fmu.system import Quantity
 from ihc_fmu.system import System as LinearSystem
 
-from . import design_match, pendulum, pendulum_match
+from . import certified, design_match, pendulum, pendulum_match
 from .design_match import SAME, Expected
 from .fmu import describe, start_values_of
 from .pendulum_match import Model
@@ -249,7 +249,7 @@ class _Pair:
             model = pendulum_match.design_model(self.controller_values)
             gain = pendulum_match.k_lin_of(self.controller_values)
             return None if model is None else _of_the_pendulum(*map(_entries, (model.A, model.b, gain)))
-        file = Path(describe(self.controller.path)[0]) / "resources" / DESIGN_FILE
+        file = certified.design_file(self.controller.path)
         if not file.is_file():
             return None
         try:

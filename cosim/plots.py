@@ -45,11 +45,16 @@ def literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def norm_name(about: Evaluation, suffix: str) -> tuple[str, str]:
+    """Return what a group's |e| is called, and its unit."""
+    group = about.error_groups[suffix]
+    name = f"|e {about.errors[group[0]].name}|" if suffix else "|q|" if about.kind == "pendulum" else "|e|"
+    return name, about.error_unit(group)
+
+
 def norm_label(about: Evaluation, suffix: str) -> str:
     """Return what stands beside the axis of a group's |e|."""
-    group = about.error_groups[suffix]
-    unit = about.error_unit(group)
-    name = f"|e {about.errors[group[0]].name}|" if suffix else "|q|" if about.kind == "pendulum" else "|e|"
+    name, unit = norm_name(about, suffix)
     return literal(name + ("" if unit == NO_UNIT else f" [{unit}]"))
 
 
@@ -112,7 +117,7 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
         for suffix, group in about.error_groups.items()
     ]
     figures = [_errors(results, about), _logarithmic(results, norms), _controls(results, about)]
-    if _has_norm(about, results.values()):
+    if has_norm(about, results.values()):
         homogeneous = (f"homogeneous norm {NORM}", lambda result: result[about.norm or ""])
         figures.append(_logarithmic(results, [homogeneous]))
     names = PICTURES[about.kind]
@@ -140,7 +145,7 @@ def _within_range(result: Recording) -> Recording:
     )
 
 
-def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
+def has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
     """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
     return about.norm is not None and (
         about.kind == "pendulum" or all(about.norm in result.signals for result in results)
@@ -156,7 +161,7 @@ def overview(result: Recording) -> Figure:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     result = _within_range(result)
     about = evaluation_in(result)
-    has_norm = _has_norm(about, [result])
+    has_norm = has_norm(about, [result])
     groups = about.error_groups if len(about.errors) > 1 else {}
     count = len(about.errors) + len(groups) + len(about.controls) + has_norm
     figure = Figure(figsize=(9, 1.8 * max(count, 2)), layout="constrained")

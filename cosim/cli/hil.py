@@ -15,7 +15,17 @@ from fmu_export.variables import did_you_mean
 
 from ..errors import UserError
 from .display import console, escaped, print_metrics, problems, say_notes, show_table
-from .options import FAILED, SCENARIO_HELP, ControllerOption, FmusOption, SetOption, assignments
+from .options import (
+    FAILED,
+    SCENARIO_HELP,
+    ControllerOption,
+    FmusOption,
+    ReportFileOption,
+    ReportOption,
+    SetOption,
+    assignments,
+    report_path,
+)
 
 if TYPE_CHECKING:
     from ..hil.device import Device
@@ -88,6 +98,8 @@ def hil(
     ] = None,
     real_time: Annotated[bool, typer.Option(help="Ask for real-time scheduling and locked memory.")] = True,
     status: Annotated[bool | None, typer.Option(help="Live line; none: where the error output is a terminal.")] = None,
+    report: ReportOption = False,
+    report_file: ReportFileOption = None,
 ) -> None:
     """Run the controller FMU on the QUBE-Servo 2, real or simulated: check, swing up, balance, log, stop at 0 V.
 

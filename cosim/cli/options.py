@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from filing.ownership import check_replaceable
 from fmu_export.errors import shown
 
 from ..errors import UserError
@@ -35,6 +36,11 @@ SetOption = Annotated[
     ),
 ]
 
+ReportOption = Annotated[bool, typer.Option("--report", help="Also write a page (HTML, one file) beside the table.")]
+ReportFileOption = Annotated[
+    Path | None, typer.Option("--report-file", help="The page's file (*.html), which is then written; none: see --report.")
+]
+
 RunArgument = Annotated[Path, typer.Argument(help="Result of `hil` (CSV, with its JSON beside it).")]
 ControllerOption = Annotated[
     Path | None, typer.Option(help="Controller FMU; none: the scenario's, in the folder of `--fmus`.")
@@ -46,6 +52,17 @@ def loaded_design(path: Path) -> Design:
     from ihc_fmu.design import Design
 
     return Design.load(path)
+
+
+def report_path(report: bool, file: Path | None, usual: Path) -> Path | None:
+    """Return the page that --report and --report-file ask for, None where neither does; raises for one that must stay."""
+    if file is None and not report:
+        return None
+    from ..report.pages import check_name
+
+    path = check_name(file or usual)
+    check_replaceable(path)
+    return path
 
 
 def assignments(items: list[str] | None) -> list[tuple[str, Any]]:

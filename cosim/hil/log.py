@@ -275,7 +275,7 @@ def free_path(folder: Path, stem: str) -> Path:
     number = 1
     while True:
         path = folder / f"{stem if number == 1 else f'{stem}_{number}'}.csv"
-        if not any(path.with_suffix(suffix).exists() for suffix in (".csv", ".json", ".png", ".rows")):
+        if not any(path.with_suffix(suffix).exists() for suffix in (".csv", ".json", ".png", ".html", ".rows")):
             return path
         number += 1
 
