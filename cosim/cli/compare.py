@@ -82,7 +82,7 @@ def compare(
 
     Given results of `run` or `hil` instead, show them side by side.
     """
-    from ..experiments import LAW, LAWS, Study, check_names, laws_of
+    from ..experiments import LAW, LAWS, Experiment, check_names, laws_of
     from ..scenario import build_system, controller_design, load_located, remarks
 
     if laws is not None and vary is not None:
@@ -112,7 +112,7 @@ def compare(
     path = report_path(report, report_file, output / chosen.name / REPORT)
     design, uncovered = controller_design(systems[0], compared[0], folder)
     page = None if path is None else Page(path, [*dict.fromkeys([*notes, *uncovered])], design)
-    run_and_write([Study(chosen, folder, draws, entry, values)], fmus, output, names, workers, page)
+    run_and_write([Experiment(chosen, folder, draws, entry, values)], fmus, output, names, workers, page)
 
 
 def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
@@ -149,31 +149,31 @@ def _compare_results(paths: list[Path], folder: Path, page: Path | None) -> None
 
 
 def run_and_write(
-    studies: list[Any],
+    experiments: list[Any],
     fmus: Path,
     output: Path,
     laws: list[str],
     workers: int | None = None,
     page: Page | None = None,
 ) -> None:
-    """Compare the laws in each study; print what comes out, write it to folders named after the scenarios.
+    """Compare the laws in each experiment; print what comes out, write it to folders named after the scenarios.
 
-    `page` is written besides where there is one study.
+    `page` is written besides where there is one experiment.
     """
-    from ..experiments import compare as run_comparison
+    from ..experiments import run_experiments
     from ..scenario import build_system, rest_remarks
 
     written: list[str] = []
     try:
         with progress() as bar:
             task = bar.add_task("co-simulation", total=None)
-            comparisons = run_comparison(
-                studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
+            comparisons = run_experiments(
+                experiments, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
             )
-        for study, comparison in zip(studies, comparisons, strict=True):
+        for experiment, comparison in zip(experiments, comparisons, strict=True):
             folder = output / comparison.scenario.name
             first = next(iter(comparison.results.values()))
-            at_rest = rest_remarks(first, build_system(comparison.scenario, fmus, study.folder))
+            at_rest = rest_remarks(first, build_system(comparison.scenario, fmus, experiment.folder))
             if page is not None:
                 page = replace(page, notes=[*page.notes, *at_rest])
             _save(comparison, folder, page)
