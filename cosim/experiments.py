@@ -197,8 +197,8 @@ class Comparison:
             self.results,
             self.scenario.description or self.scenario.name,
             Findings(verdicts, tables, notes, self.remarks()),
-            design,
             {} if folder is None else {law: Path(folder) / f"{law}.csv" for law in self.results},
+            design,
         )
 
     @property

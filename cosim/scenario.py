@@ -634,7 +634,7 @@ def remarks(system: SystemStructure, scenario: Scenario) -> list[str]:
 
 
 def controller_design(
-    system: System, scenario: Scenario, folder: FilePath | None = None
+    system: SystemStructure, scenario: Scenario, folder: FilePath | None = None
 ) -> tuple[Design | None, list[str]]:
     """Return the design of a scenario's controller, and what its certificate does not cover, as `certified.design_of`."""
     for component in system.components:

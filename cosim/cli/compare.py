@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,31 +16,20 @@ from .display import console, escaped, print_comparison, print_results, progress
 from .options import (
     SCENARIO_HELP,
     FmusOption,
+    Page,
     ReportFileOption,
     ReportOption,
     SetOption,
     assignments,
-    report_path,
+    page_wanted,
     varied,
 )
 
-
 if TYPE_CHECKING:
-    from ihc_fmu.design import Design
-
     from ..experiments import Comparison
 
 REPORT = "report.html"
 """The page among a comparison's files."""
-
-
-@dataclass(frozen=True)
-class Page:
-    """A page to write: where, notes that were printed, the design of the controller."""
-
-    path: Path
-    notes: Sequence[str] = ()
-    design: Design | None = None
 
 
 def compare(
@@ -89,7 +78,7 @@ def compare(
         raise UserError("compare takes --laws or --vary, not both")
     if all(name.endswith(".csv") for name in scenario):
         place = output / "compared"
-        _compare_results([Path(name) for name in scenario], place, report_path(report, report_file, place / REPORT))
+        _compare_results([Path(name) for name in scenario], place, page_wanted(report, report_file, place / REPORT))
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
@@ -109,9 +98,12 @@ def compare(
     notes = dict.fromkeys(note for system, one in zip(systems, compared, strict=True) for note in remarks(system, one))
     say_notes(notes)
     check_folder(output / chosen.name, names)
-    path = report_path(report, report_file, output / chosen.name / REPORT)
-    design, uncovered = controller_design(systems[0], compared[0], folder)
-    page = None if path is None else Page(path, [*dict.fromkeys([*notes, *uncovered])], design)
+    page = page_wanted(report, report_file, output / chosen.name / REPORT)
+    if page is not None:
+        designs = [controller_design(system, one, folder) for system, one in zip(systems, compared, strict=True)]
+        uncovered = (note for _, said in designs for note in said)
+        one = entry not in ("controller.design", "controller.fmu")
+        page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=designs[0][0] if one else None)
     run_and_write([Experiment(chosen, folder, draws, entry, values)], fmus, output, names, workers, page)
 
 
@@ -123,12 +115,12 @@ def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
     check_replaceable(*(folder / name for name in (*files, *(f"{name}.png" for name in COMPARISON))))
 
 
-def _compare_results(paths: list[Path], folder: Path, page: Path | None) -> None:
+def _compare_results(paths: list[Path], folder: Path, page: Page | None) -> None:
     from filing.files import staging
 
     from ..hil.overlay import alike
     from ..plots import save_comparison
-    from ..report.pages import write_results
+    from ..report.pages import side_by_side, write_results
     from ..results import Result
 
     stems = [path.stem for path in paths]
@@ -144,8 +136,9 @@ def _compare_results(paths: list[Path], folder: Path, page: Path | None) -> None
     if page is None:
         remove_earlier(folder / REPORT, "report")
         return
-    write_results(page, results, dict(zip(names, paths, strict=True)))
-    console.print(f"wrote {escaped(page)}")
+    path = page.path or folder / REPORT
+    write_results(path, results, ", ".join(names), side_by_side(results), dict(zip(names, paths, strict=True)))
+    console.print(f"wrote {escaped(path)}")
 
 
 def run_and_write(
@@ -191,13 +184,13 @@ def _save(comparison: Comparison, folder: Path, page: Page | None) -> None:
     """Write a comparison with its pictures; a page in its folder is one of its files, another is written after them."""
     from ..plots import save_comparison
 
-    inside = page is not None and page.path.parent == folder
+    path = None if page is None else page.path or folder / REPORT
 
     def besides(place: Path) -> None:
         save_comparison(comparison.results, place, comparison.scenario.description or comparison.scenario.name)
-        if page is not None and inside:
-            comparison.report(place / page.path.name, notes=page.notes, design=page.design, folder=place)
+        if page is not None and path is not None and path.parent == folder:
+            comparison.report(place / path.name, notes=page.notes, design=page.design, folder=place)
 
     comparison.save(folder, besides)
-    if page is not None and not inside:
-        comparison.report(page.path, notes=page.notes, design=page.design, folder=folder)
+    if page is not None and path is not None and path.parent != folder:
+        comparison.report(path, notes=page.notes, design=page.design, folder=folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,16 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, print_metrics, progress, remove_earlier, say_notes, warn_of_messages
-from .options import SCENARIO_HELP, FmusOption, ReportFileOption, ReportOption, SetOption, assignments, report_path
+from .options import (
+    SCENARIO_HELP,
+    FmusOption,
+    Page,
+    ReportFileOption,
+    ReportOption,
+    SetOption,
+    assignments,
+    page_wanted,
+)
 
 if TYPE_CHECKING:
     from ..results import Result
@@ -55,7 +65,7 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
-    page = report_path(report, report_file, path.with_suffix(".html"))
+    page = page_wanted(report, report_file, path.with_suffix(".html"))
     system = build_system(chosen, fmus, folder)
     notes = remarks(system, chosen)
     say_notes(notes)
@@ -80,10 +90,9 @@ def run(
         except KeyboardInterrupt:
             bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
             raise
-    if not plot:
-        remove_earlier(path.with_suffix(".png"), "picture")
-    if page is None:
-        remove_earlier(path.with_suffix(".html"), "report")
+    for suffix, what, again in ((".png", "picture", plot), (".html", "report", page is not None)):
+        if not again:
+            remove_earlier(path.with_suffix(suffix), what)
     warn_of_messages(result)
     at_rest = rest_remarks(result, system)
     say_notes(at_rest)
@@ -97,9 +106,14 @@ def run(
         say_notes(filter(None, [overflow(result)]))
         print_metrics(result)
     if page is not None:
-        design, uncovered = controller_design(system, chosen, folder)
-        result.report(page, notes=[*dict.fromkeys([*notes, *uncovered, *at_rest])], design=design, table=path)
-        console.print(f"wrote {escaped(page)}")
+        found, uncovered = controller_design(system, chosen, folder)
+        said = [*dict.fromkeys([*notes, *uncovered, *at_rest])]
+        _report(result, replace(page, notes=said, design=found), path)
+
+
+def _report(result: Result, page: Page, table: Path) -> None:
+    written = result.report(page.path or table.with_suffix(".html"), notes=page.notes, design=page.design, table=table)
+    console.print(f"wrote {escaped(written)}")
 
 
 def _save(result: Result, path: Path) -> Path:

@@ -12,7 +12,18 @@ import numpy as np
 
 from ..evaluation import NO_UNIT, ErrorSignal, evaluation_in
 from ..metrics import error_norm, given, set_point, wrapped
-from ..plots import COLOURS, LARGEST, UNKNOWN, colours, has_norm, law_of, mode_colours, mode_names, mode_spans, norm_name
+from ..plots import (
+    COLOURS,
+    LARGEST,
+    UNKNOWN,
+    colours,
+    has_norm,
+    law_of,
+    mode_colours,
+    mode_names,
+    mode_spans,
+    norm_name,
+)
 from ..recording import Recording
 
 Array = np.ndarray
@@ -73,22 +84,22 @@ class Plots:
 
     def add_judged(self) -> None:
         """Add what is judged: errors, |e|, controls, homogeneous norm."""
-        about = evaluation_in(next(iter(self.runs.values())))
-        for error in about.errors:
+        evaluation = evaluation_in(next(iter(self.runs.values())))
+        for error in evaluation.errors:
             self.charts.append(self._error(error))
-        groups = about.error_groups if len(about.errors) > 1 else {}
+        groups = evaluation.error_groups if len(evaluation.errors) > 1 else {}
         for suffix, group in groups.items():
-            title, unit = norm_name(about, suffix)
-            found = {name: error_norm(run, about, group) for name, run in self.runs.items()}
+            title, unit = norm_name(evaluation, suffix)
+            found = {name: error_norm(run, evaluation, group) for name, run in self.runs.items()}
             self._add_positive(title, unit, found)
-        for control in about.controls:
+        for control in evaluation.controls:
             curves = [
                 self._curve(name, control.signal, control.unit, run[control.signal], control.name, held=True)
                 for name, run in self.runs.items()
             ]
             self.charts.append(Chart(control.name, control.unit, tuple(curves)))
-        if has_norm(about, self.runs.values()):
-            self._add_positive("‖x‖_d", NO_UNIT, {name: run[about.norm or ""] for name, run in self.runs.items()})
+        if has_norm(evaluation, self.runs.values()):
+            self._add_positive("‖x‖_d", NO_UNIT, {name: run[evaluation.norm or ""] for name, run in self.runs.items()})
 
     def add_signals(self) -> None:
         """Add all signals of the single run, those of one unit in one plot."""
@@ -183,8 +194,8 @@ class Plots:
             if per > 1:
                 of = "" if len(self.runs) == 1 else f" of {name}"
                 said.append(
-                    f"The plots show two points for every {per} of the {len(run.time)} rows{of}: the smallest and the largest "
-                    "value in them, so that no peak is lost. The table (CSV) has every row."
+                    f"The plots show two points for every {per} of the {len(run.time)} rows{of}: the smallest and the "
+                    "largest value in them, so that no peak is lost. The table (CSV) has every row."
                 )
         runs, places = list(self.runs), {name: list(columns) for name, columns in self.columns.items()}
         charts = [
@@ -256,4 +267,3 @@ def packed(values: Array, *, exact: bool = False) -> dict[str, str]:
     single = not exact and (not len(sizes) or (sizes.min() > SINGLE[0] and sizes.max() < SINGLE[1]))
     raw = np.asarray(values, dtype="<f4" if single else "<f8").tobytes()
     return {"type": "f4" if single else "f8", "base64": base64.b64encode(raw).decode("ascii")}
-

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +13,12 @@ from fmu_export.files import FilePath
 
 from ..errors import UserError
 from ..evaluation import evaluation_in
-from ..metrics import can_draw, can_evaluate, evaluate, kept_upright, overflow, unsteady
+from ..metrics import can_draw, can_evaluate, evaluate, evaluate_alike, kept_upright, overflow, unsteady
 from ..plots import law_of
 from ..provenance import provenance
 from ..recording import Recording
 from ..tables import metric_rows
+from ..tables import side_by_side as rows_of
 from .charts import Plots
 from .page import CHARTS, data, link, render
 
@@ -52,7 +53,7 @@ class Findings:
     verdicts: Sequence[Verdict] = ()
     tables: Sequence[Table] = ()
     notes: Sequence[str] = ()
-    remarks: Sequence[str] = field(default=())
+    remarks: Sequence[str] = ()
     """What is said below the tables, to read their numbers."""
 
 
@@ -65,28 +66,36 @@ def check_name(path: FilePath) -> Path:
 
 
 def found_in(result: Recording) -> Findings:
-    """Return what is to be said of a single run: its metrics, and what the FMUs logged."""
-    notes = [f"{name}: {text}" for name, texts in provenance(result).messages.items() for text in texts]
+    """Return what is to be said of a single run: its metrics, and that numbers overflow."""
     if len(result.time) < 2 or not can_evaluate(result):
-        return Findings(notes=notes)
+        return Findings()
     metrics = evaluate(result)
-    why = unsteady(metrics)
-    rows = metric_rows(metrics)
-    kept = kept_upright(result)
-    name = "upright to the end" if evaluation_in(result).kind == "pendulum" else "acting to the end"
-    verdicts = [
-        Verdict("yes" if kept else "no", name, "good" if kept else "bad"),
-        Verdict("no" if why else "yes", "steady state at the end", "bad" if why else "good"),
-    ]
+    rows, why = metric_rows(metrics), unsteady(metrics)
     shown = ("settling", "rms", "peak")
-    roles = [q.role for q in metrics.quantities.values()]
-    verdicts += [Verdict(text, symbol) for role, (symbol, text) in zip(roles, rows, strict=True) if role in shown]
+    numbers = zip(metrics.quantities.values(), rows, strict=True)
+    verdicts = [
+        _kept(result),
+        Verdict("no" if why else "yes", "steady state at the end", "bad" if why else "good"),
+        *(Verdict(text, symbol) for meaning, (symbol, text) in numbers if meaning.role in shown),
+    ]
     beyond = overflow(result)
+    return Findings(verdicts, [Table("Metrics", (), rows)], [beyond] if beyond else [], [f"* {why}"] if why else [])
+
+
+def _kept(result: Recording, name: str = "") -> Verdict:
+    kept = kept_upright(result)
+    what = "upright to the end" if evaluation_in(result).kind == "pendulum" else "acting to the end"
+    return Verdict("yes" if kept else "no", f"{name}: {what}" if name else what, "good" if kept else "bad")
+
+
+def side_by_side(results: Mapping[str, Recording]) -> Findings:
+    """Return what is to be said of several runs by their names; raise UserError for runs judged by different signals."""
+    metrics = evaluate_alike(results)
     return Findings(
-        verdicts,
-        [Table("Metrics", (), rows)],
-        [*notes, *([beyond] if beyond else [])],
-        [f"* {why}"] if why else [],
+        [_kept(result, name) for name, result in results.items()],
+        [Table("Metrics", ["", *results], rows_of(list(metrics.values())))],
+        [f"{name}: {text}" for name, result in results.items() if (text := overflow(result))],
+        [f"* {name}: {unsteady(m)}" for name, m in metrics.items() if not m.steady],
     )
 
 
@@ -105,7 +114,7 @@ def write_result(
     was saved to. Raises UserError where the page cannot be written, or has another suffix than .html.
     """
     path = check_name(path)
-    used = provenance(result, "the result's metadata").scenario
+    used = provenance(result).scenario
     own, more = found_in(result), more or Findings()
     law = law_of(result)
     return _write(
@@ -128,14 +137,14 @@ def write_results(
     results: Mapping[str, Recording],
     title: str,
     findings: Findings,
+    tables: Mapping[str, FilePath],
     design: Design | None = None,
-    tables: Mapping[str, FilePath] | None = None,
 ) -> Path:
-    """Write the page of several runs by their names, which are drawn over each other; `tables` are their files.
+    """Write the page of several runs by their names, drawn over each other; `tables` are the files that they were saved to.
 
     Raises as `write_result`.
     """
-    return _write(check_name(path), title, findings, results, design, tables or {})
+    return _write(check_name(path), title, findings, results, design, tables)
 
 
 def _write(
@@ -146,6 +155,7 @@ def _write(
     design: Design | None,
     tables: Mapping[str, FilePath],
 ) -> Path:
+    said = [f"{k}: {text}" for run in results.values() for k, of in provenance(run).messages.items() for text in of]
     plots = Plots({name: result for name, result in results.items() if len(result.time)})
     judged = bool(plots.runs) and all(can_evaluate(run) and can_draw(run) for run in plots.runs.values())
     if judged:
@@ -160,6 +170,7 @@ def _write(
         ("uplot/uPlot.min.css",),
         title=title,
         findings=findings,
+        notes=list(dict.fromkeys([*findings.notes, *said])),
         about=_about(results),
         charts=[(chart, plots.text(chart)) for chart in plots.charts],
         others=[(chart, plots.text(chart)) for chart in plots.others],
@@ -200,7 +211,7 @@ def _about(results: Mapping[str, Recording]) -> Table:
 
 
 def _facts(result: Recording) -> dict[str, str]:
-    used = provenance(result, "the result's metadata")
+    used = provenance(result)
     law, device = law_of(result), _device(result.metadata)
     facts = {"scenario": used.scenario.name, "law": law, "device": device}
     facts |= {f"FMU {name}": f"{fmu.file} {fmu.guid}" for name, fmu in used.fmus.items()}
