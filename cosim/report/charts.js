@@ -65,7 +65,7 @@
     ctx.clip();
     shown.forEach((modes, row) => {
       const [y, h] = shown.length > 1 ? [top + height - strip * (shown.length - row), strip] : [top, height];
-      ctx.globalAlpha = shown.length > 1 ? 1 : Number(Colours.variable("shade"));
+      ctx.globalAlpha = Number(Colours.variable(shown.length > 1 ? "strip" : "shade"));
       for (const { colour, begin, end } of modes) {
         ctx.fillStyle = colour;
         const x = u.valToPos(begin, "x", true);
@@ -75,10 +75,12 @@
     ctx.restore();
   }
 
+  const below = 0.06 + (tables.length > 1 ? (STRIP * tables.length) / HEIGHT : 0); // room there, for the strips too
+
   function around(_u, low, high) { // limits of a linear axis
     if (low === null || high === null) return [-1, 1];
-    const room = low === high ? Math.abs(low) || 1 : 0.06 * (high - low);
-    return [low - room, high + room];
+    const size = low === high ? Math.abs(low) || 1 : high - low;
+    return [low - below * size, high + 0.06 * size];
   }
 
   function nearest(u, series, index) { // the row of a joined table in which this curve has a value

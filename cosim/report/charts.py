@@ -172,7 +172,8 @@ class Plots:
     def data(self, files: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
         """Return what the script draws, and how each run was thinned, in words; `files` are the names of downloads."""
         rows = max(LEAST_ROWS, MOST_VALUES // max(1, sum(map(len, self.columns.values()))))
-        tables, said = [], []
+        tables: list[dict[str, Any]] = []
+        thin: dict[tuple[int, int], list[str]] = {}
         for name, run in self.runs.items():
             columns = self.columns[name]
             time, values, per = thinned(run.time, [v for _, v in columns.values()], rows)
@@ -192,11 +193,14 @@ class Plots:
                 }
             )
             if per > 1:
-                of = "" if len(self.runs) == 1 else f" of {name}"
-                said.append(
-                    f"The plots show two points for every {per} of the {len(run.time)} rows{of}: the smallest and the "
-                    "largest value in them, so that no peak is lost. The table (CSV) has every row."
-                )
+                thin.setdefault((per, len(run.time)), []).append(name)
+        said = []
+        for (per, count), names in thin.items():
+            of = f" of {', '.join(names)}" if len(self.runs) > 1 else ""
+            said.append(
+                f"The plots show two points for every {per} of the {count} rows{of}: the smallest and the largest value in "
+                "them, so that no peak is lost. The tables (CSV) have every row."
+            )
         runs, places = list(self.runs), {name: list(columns) for name, columns in self.columns.items()}
         charts = [
             {

@@ -22,8 +22,10 @@ HERE = Path(__file__).parent
 
 CHARTS = ("uplot/uPlot.iife.min.js", "colours.js", "charts.js")
 """Scripts of a page with plots."""
-ANIMATION = ("colours.js", "animation.js")
-"""Scripts of a page with the rotary pendulum in motion."""
+LICENCE = "uplot/LICENSE.txt"
+"""Of the first of them, which wants to be in every copy."""
+ANIMATION = ("colours.js", "animation.js", "unfold.js")
+"""Scripts of a page with the rotary pendulum in motion, and folded parts that links lead to."""
 
 
 def render(
@@ -54,7 +56,8 @@ def render(
 
 @cache
 def _file(name: str) -> str:
-    return (HERE / name).read_text(encoding="utf-8")
+    text = (HERE / name).read_text(encoding="utf-8")
+    return f"/* uPlot, whose licence is:\n\n{_file(LICENCE)}*/\n{text}" if name == CHARTS[0] else text
 
 
 def data(contents: Mapping[str, Any]) -> Markup:
