@@ -2,7 +2,7 @@
 // {tables: [{file, time, columns: [{name, unit, values}], modes: [{colour, begin, end}]}],
 //  charts: [{label, logarithmic, curves: [{table, column, name, colour, dashed, held}]}]};
 // times and values are {type: "f4" or "f8", base64}, NaN where there is a gap. A figure with data-chart="0" gets the first
-// chart, when it is first seen; a button with data-download="0" writes the first table as CSV.
+// chart, when it is unfolded; a button with data-download="0" writes the first table as CSV.
 (() => {
   "use strict";
 
@@ -127,7 +127,7 @@
         })),
       ],
       cursor: {
-        sync: { key: "report" },
+        sync: { key: "report", filters: { pub: (kind) => kind === "mousemove" || kind === "mouseleave" } },
         drag: { x: true, y: false, setScale: false },
         dataIdx: nearest,
         bind: { dblclick: () => () => zoom(first, last) },
@@ -305,15 +305,16 @@
     button.addEventListener("click", () => download(tables[index], index));
   }
 
-  const seen = new IntersectionObserver((entries) => {
-    for (const { target, isIntersecting } of entries) {
-      if (!isIntersecting) continue;
-      seen.unobserve(target);
-      build(target);
-    }
-  }, { rootMargin: "600px" });
   const figures = [...document.querySelectorAll("[data-chart]")];
-  for (const figure of figures) seen.observe(figure);
+
+  function buildVisible() { // a folded part has no width yet
+    for (const figure of figures) {
+      if (figure.clientWidth > 0 && !figure.querySelector(".uplot")) build(figure);
+    }
+  }
+
+  buildVisible();
+  for (const part of document.querySelectorAll("details")) part.addEventListener("toggle", buildVisible);
 
   function recolour() {
     colourLines();
@@ -323,9 +324,6 @@
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", recolour);
   addEventListener("beforeprint", () => {
     root.classList.add("printing");
-    for (const figure of figures) {
-      if (figure.clientWidth > 0 && !figure.querySelector(".uplot")) build(figure);
-    }
     for (const { uplot } of plots) resize(uplot, PRINTED);
     recolour();
   });

@@ -72,10 +72,10 @@ def check_alone(text):
 
 def browse(folder, page, *options):
     """Open `page` in a browser without a window, five virtual seconds long; return what it prints."""
-    profile = f"--user-data-dir={folder / 'profile'}"
-    command = [str(BROWSER), "--headless=new", "--hide-scrollbars", "--no-sandbox", "--disable-gpu", profile, "--virtual-time-budget=5000"]
+    options = ("--headless=new", "--hide-scrollbars", "--no-sandbox", "--disable-gpu", *options)
+    command = [str(BROWSER), f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=5000", *options]
     done = subprocess.run(
-        [*command, *options, page.as_uri()], capture_output=True, text=True, timeout=60, check=False, cwd=folder
+        [*command, page.as_uri()], capture_output=True, text=True, timeout=60, check=False, cwd=folder
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

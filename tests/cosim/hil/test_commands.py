@@ -22,6 +22,7 @@ from cosim.hil.log import LiveLog
 from cosim.hil.replay import replay
 from cosim.hil.simulated import HOLD
 from cosim.results import Result
+from tests.cosim.browser import check_alone
 from tests.cosim.command import ended, files, finished, sentence, started
 
 STAND_IN = Path(__file__).parent / "stand_in"
@@ -65,7 +66,7 @@ def on_stand_in(tmp_path, monkeypatch):
 def run(tmp_path_factory, fmus):
     """A run of 3 s in lockstep, for what reads logs; not to be changed."""
     folder = tmp_path_factory.mktemp("run")
-    options = ("--lockstep", "--duration", "3", "-o", folder)
+    options = ("--lockstep", "--duration", "3", "-o", folder, "--report")
     done = ended("hil", "--fmus", fmus, *options, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder / "run.csv"
@@ -100,11 +101,20 @@ def wait_for_rows(process, folder, rows):
 
 
 def test_run_leaves_log_and_picture(run):
-    assert files(run.parent) == ["run.csv", "run.json", "run.png"]
+    assert files(run.parent) == ["run.csv", "run.html", "run.json", "run.png"]
     result = Result.load(run)
     assert np.round(result.time / PERIOD).tolist() == list(range(3001))
     assert result.metadata["hil"]["stop"] == "complete"
     assert {"plant.theta_encoder", "controller.voltage", "hil.latency"} <= set(result.signals)
+
+
+def test_the_page_of_a_run_says_how_it_ended_and_its_timing(run):
+    page = check_alone(run.with_suffix(".html").read_text(encoding="utf-8"))
+    texts = [text.strip() for _, text in page.texts]
+    assert {"stopped at 0 V", "the duration is over", "timing of the run [us]", "missed periods: 0 of 3000"} <= {
+        text.partition(" (a bare")[0] for text in texts
+    }
+    assert page.all("href") == ["run.csv"]
 
 
 def test_earlier_run_stays(tmp_path, hil, run):
@@ -113,7 +123,9 @@ def test_earlier_run_stays(tmp_path, hil, run):
     done = hil("--lockstep", "--duration", "0.2")
     assert done.returncode == 0, done.stderr
     assert "stopped at 0 V: the duration is over" in done.stdout
-    assert files(out) == [f"run{n}.{kind}" for n in ("", "_2") for kind in ("csv", "json", "png")]
+    assert files(out) == sorted(
+        ["run.html", *(f"run{n}.{kind}" for n in ("", "_2") for kind in ("csv", "json", "png"))]
+    )
     assert (out / "run.csv").read_bytes() == run.read_bytes()
     first, second = (Result.load(out / name)["controller.voltage"] for name in ("run.csv", "run_2.csv"))
     assert second.tolist() == first[:201].tolist()
