@@ -185,9 +185,11 @@ class Comparison:
         from .report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
 
         base, *others = self.of_law
+        settling = sum(m.role == "settling" for m in self.quantities.values())
+        roles = ("settling", "integral") if settling == 1 else ("settling",)
         verdicts = []
         for law in others:
-            for meaning in (m for m in self.quantities.values() if m.role in ("settling", "integral")):
+            for meaning in (m for m in self.quantities.values() if m.role in roles):
                 text = change_text(self.change(law, base, meaning.name))
                 kind = {"better": "good", "worse": "bad"}.get(text.rpartition(" ")[2], "")
                 verdicts.append(Verdict(text, f"{meaning.symbol}, {law} over {base}", kind))

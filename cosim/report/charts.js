@@ -83,6 +83,23 @@
     return [low - below * size, high + 0.06 * size];
   }
 
+  // A line that ends before a gap however narrow that is; uPlot's own joins what falls on one column of pixels.
+  function broken(u, series, from, to) {
+    const stroke = new Path2D();
+    let drawing = false;
+    for (let k = from; k <= to; k++) {
+      const value = u.data[series][k];
+      if (value === undefined) continue;
+      if (value !== null) {
+        const at = [u.valToPos(u.data[0][k], "x", true), u.valToPos(value, "y", true)];
+        if (drawing) stroke.lineTo(...at);
+        else stroke.moveTo(...at);
+      }
+      drawing = value !== null;
+    }
+    return { stroke, fill: null, clip: null };
+  }
+
   function nearest(u, series, index) { // the row of a joined table in which this curve has a value
     const values = u.data[series];
     for (let k = 0; k < values.length; k++) {
@@ -122,7 +139,7 @@
           stroke: () => Colours.shown(curve.colour),
           width: 1.4,
           dash: curve.dashed ? [6, 5] : undefined,
-          paths: curve.held ? held : undefined,
+          paths: curve.held ? held : broken,
           points: { show: false },
         })),
       ],
@@ -136,7 +153,7 @@
         drawClear: [(u) => shadeModes(u, chart.curves)],
         setSelect: [(u) => {
           if (u.select.width < 5) return;
-          zoom(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
+          zoom(timeAt(u, u.select.left), timeAt(u, u.select.left + u.select.width));
           u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
         }],
         setCursor: [readOut],
@@ -225,6 +242,10 @@
     shown.textContent = `shown: ${number(range[0])} to ${number(range[1])} s`;
   }
 
+  function timeAt(u, left) { // also where a plot has yet to be drawn in the new range
+    return range[0] + (left / u.over.clientWidth) * (range[1] - range[0]);
+  }
+
   function zoomBy(factor) {
     const [middle, half] = [(range[0] + range[1]) / 2, (factor * (range[1] - range[0])) / 2];
     zoom(middle - half, middle + half);
@@ -239,7 +260,7 @@
   function fingers(u) {
     const down = new Map();
     let under = null;
-    const valuesUnder = () => [...down.values()].map((left) => u.posToVal(left, "x"));
+    const valuesUnder = () => [...down.values()].map((left) => timeAt(u, left));
     const place = (event) => event.clientX - u.over.getBoundingClientRect().left;
     u.over.addEventListener("pointerdown", (event) => {
       if (event.pointerType !== "touch") return;

@@ -71,7 +71,8 @@ def found_in(result: Recording) -> Findings:
         return Findings()
     metrics = evaluate(result)
     rows, why = metric_rows(metrics), unsteady(metrics)
-    shown = ("settling", "rms", "peak")
+    several = sum(meaning.role == "settling" for meaning in metrics.quantities.values()) > 1
+    shown = ("settling", "peak") if several else ("settling", "rms", "peak")
     numbers = zip(metrics.quantities.values(), rows, strict=True)
     verdicts = [
         _kept(result),
