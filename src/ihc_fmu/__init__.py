@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from .design import Design
     from .lmi import InfeasibleError
     from .options import Options
+    from .quantity import Quantity
     from .synthesis import Choice, chosen_options, direct_design, inverse_design, largest_alpha, synthesize
-    from .system import Quantity, System
+    from .system import System
 
     __version__: str
 
@@ -73,7 +74,8 @@ _HOMES = {
         "largest_alpha",
         "synthesize",
     ),
-    "ihc_fmu.system": ("Quantity", "System"),
+    "ihc_fmu.quantity": ("Quantity",),
+    "ihc_fmu.system": ("System",),
 }
 
 

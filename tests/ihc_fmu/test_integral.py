@@ -16,7 +16,7 @@ from ihc_fmu.homogeneity import homogeneous_norm
 from ihc_fmu.integral import IntegralAction, nearest
 from ihc_fmu.laws import block_state, controls, integrand
 from ihc_fmu.synthesis import Options, chosen_options, inverse_design, synthesize
-from ihc_fmu.system import System, from_dict
+from ihc_fmu.system import System
 from tests.ihc_fmu.blocks import random_system
 from tests.ihc_fmu.regulator.test_closed_loop import ARM, CART, H
 
@@ -221,7 +221,7 @@ def test_system_file_holds_it(integral, tmp_path):
 )
 def test_entries_of_a_file_that_are_none_are_refused(integral, message):
     with pytest.raises(UserError, match=message):
-        from_dict({"A": CART["A"].tolist(), "B": CART["B"].tolist(), "integral": integral})
+        System.from_dict({"A": CART["A"].tolist(), "B": CART["B"].tolist(), "integral": integral})
 
 
 def test_degree_is_chosen_for_it():
