@@ -11,7 +11,8 @@ from cosim.errors import UserError
 from cosim.pendulum_export import export_units
 from cosim.system_export import export_system
 from ihc_fmu.design import Design
-from ihc_fmu.synthesis import degrees, largest_alpha
+from ihc_fmu.largest_rate import largest_alpha
+from ihc_fmu.synthesis import degrees
 from ihc_fmu.system import PENDULUM, System
 
 

@@ -14,8 +14,10 @@ from ihc_fmu.controller import Controller
 from ihc_fmu.design import Design
 from ihc_fmu.homogeneity import homogeneous_norm
 from ihc_fmu.integral import IntegralAction, nearest
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.laws import block_state, controls, integrand
-from ihc_fmu.synthesis import Options, chosen_options, inverse_design, synthesize
+from ihc_fmu.options import Options
+from ihc_fmu.synthesis import chosen_options, synthesize
 from ihc_fmu.system import System
 from tests.ihc_fmu.blocks import random_system
 from tests.ihc_fmu.regulator.test_closed_loop import ARM, CART, H
