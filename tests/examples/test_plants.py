@@ -20,10 +20,11 @@ from cosim.model_match import remarks
 from cosim.scenario import build_system, load_scenario, run_scenario
 from cosim.system_export import export_system
 from fmu_export.errors import UserError
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.regulator.interface import INTERFACE, OUTPUTS
 from ihc_fmu.regulator.start_values import design_regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit
-from ihc_fmu.synthesis import chosen_options, inverse_design
+from ihc_fmu.synthesis import chosen_options
 from ihc_fmu.system import System
 
 from .conftest import EXAMPLES
