@@ -28,10 +28,11 @@ from ..fmu import describe
 from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
 from . import figures, printed, tables
-from .claims import Claim, Judge, Theory
+from .claims import Judge, Theory
 from .gains import K_LIN, A, B, gain_readings, norm_readings
 from .readings import readings
 from .study import COMPARED, GAINS, PURPOSE, REFERENCE, Key, Study, numbers, scenario_name
+from .verdicts import Claim
 
 HERE = Path(__file__).parent
 
