@@ -20,7 +20,7 @@ from pathlib import Path
 from cosim.master import Order, simulate
 from cosim.pendulum_export import export_units
 from cosim.scenario import WIRES
-from cosim.structure import Component, System
+from cosim.structure import Component, SystemStructure
 from ihc_fmu.pendulum.start_values import default_design
 
 STEP, STEPS = 1e-3, 500
@@ -201,7 +201,7 @@ def distance(found: list[float] | None, order: Order, folder: Path) -> str:
         Component("controller", folder / "IhcController.fmu"),
         Component("plant", folder / "QubeServo2.fmu"),
     )
-    system = System(components, WIRES["encoders"])
+    system = SystemStructure(components, WIRES["encoders"])
     result = simulate(system, STEP, STEPS * STEP, order, record=ENDS)
     difference = max(abs(a - float(result[name][-1])) for a, name in zip(found, ENDS, strict=True))
     return f", {difference:.3g} rad from this project's master ({order})"

@@ -33,7 +33,7 @@ from benchmarks.monolithic import Monolithic
 from cosim.master import Engine, Order, simulate
 from cosim.pendulum_export import Kind, export_units
 from cosim.scenario import WIRES
-from cosim.structure import Component, System
+from cosim.structure import Component, SystemStructure
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.sliding_mode import fitted_smc
@@ -71,9 +71,11 @@ class Pair:
     controller_start: dict[str, Value]
 
     @property
-    def system(self) -> System:
+    def system(self) -> SystemStructure:
         """The loop as this project's master takes it."""
-        return System((Component("controller", self.controller), Component("plant", self.plant)), WIRES["encoders"])
+        return SystemStructure(
+            (Component("controller", self.controller), Component("plant", self.plant)), WIRES["encoders"]
+        )
 
 
 def export_pair(folder: Path, kind: Kind = Kind.native) -> Pair:

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .results import Interrupted, Result, SimulationError
     from .running import compare, export, run
     from .scenario import Scenario, load_scenario
-    from .structure import Component, Signal, System, Wire
+    from .structure import Component, Signal, SystemStructure, Wire
 
 __all__ = [
     "Component",
@@ -44,7 +44,7 @@ __all__ = [
     "Scenario",
     "Signal",
     "SimulationError",
-    "System",
+    "SystemStructure",
     "UserError",
     "Wire",
     "compare",
@@ -65,7 +65,7 @@ _HOMES = {
     "cosim.results": ("Interrupted", "Result", "SimulationError"),
     "cosim.running": ("compare", "export", "run"),
     "cosim.scenario": ("Scenario", "load_scenario"),
-    "cosim.structure": ("Component", "Signal", "System", "Wire"),
+    "cosim.structure": ("Component", "Signal", "SystemStructure", "Wire"),
 }
 
 

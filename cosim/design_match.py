@@ -83,7 +83,7 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class Distance:
+class ResponseDistance:
     """How far the design's answers are from the plant's, row by row and then column by column.
 
     `gain`, `sine`, `error` (r + q,): the last is the relative difference.
@@ -146,7 +146,7 @@ def _transfer(A: Array, B: Array, s: Array) -> Array:
     return np.stack([np.linalg.solve(z * np.eye(len(A)) - A, B) for z in s], axis=1)
 
 
-def distance(design: Array, plant: Array) -> Distance:
+def distance(design: Array, plant: Array) -> ResponseDistance:
     """Return how far G of a design is from that of a plant, both (r, COUNT, q)."""
     sizes = np.linalg.norm(plant, axis=2, keepdims=True)
     a, b = (np.divide(M, sizes, out=np.zeros_like(M), where=sizes > 0.0) for M in (plant, design))
@@ -158,7 +158,7 @@ def distance(design: Array, plant: Array) -> Distance:
         cosines = np.divide(inner, np.sqrt(squares * others), out=np.zeros_like(inner), where=others > 0.0)
         sines.append(np.sqrt(np.maximum(0.0, 1.0 - cosines**2)))
         errors.append(np.sqrt(_squares(y - x) / squares))
-    return Distance(*map(np.concatenate, (gains, sines, errors)))
+    return ResponseDistance(*map(np.concatenate, (gains, sines, errors)))
 
 
 def _squares(M: Array) -> Array:

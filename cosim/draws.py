@@ -73,7 +73,7 @@ def drawn(scenario: Scenario, draw: int, chance: Chance = PENDULUM) -> Scenario:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class MeanEstimate:
     """A mean over draws and the half width of its 95 % confidence interval (Student); NaN for a single draw.
 
     The points of a Sobol set are more even than independent ones, for which the interval is right: it is on the safe side.
@@ -89,20 +89,20 @@ class Estimate:
 
 
 @QUIET
-def mean(values: Array) -> Estimate:
+def mean(values: Array) -> MeanEstimate:
     """Return the mean of `values`; NaN without any."""
-    return Estimate(float(np.mean(values)), _half_width(values)) if len(values) else Estimate(math.nan)
+    return MeanEstimate(float(np.mean(values)), _half_width(values)) if len(values) else MeanEstimate(math.nan)
 
 
-def root_mean_square(values: Array) -> Estimate:
+def root_mean_square(values: Array) -> MeanEstimate:
     """Return the root mean square of `values`, its interval by the delta method from that of the mean square."""
     square = mean(np.asarray(values) ** 2)
     root = math.sqrt(square.value)
-    return Estimate(root, square.half_width / (2.0 * root) if root else square.half_width)
+    return MeanEstimate(root, square.half_width / (2.0 * root) if root else square.half_width)
 
 
 @QUIET
-def change(values: Array, base: Array) -> Estimate:
+def change(values: Array, base: Array) -> MeanEstimate:
     """Return mean(values) / mean(base) - 1 of pairs from the same draws, its interval by the delta method.
 
     The pairs' differences decide the interval, so that what a draw does to both controllers cancels. NaN where the base's
@@ -110,16 +110,16 @@ def change(values: Array, base: Array) -> Estimate:
     """
     below = float(np.mean(base)) if len(base) else 0.0
     if below == 0.0:
-        return Estimate(math.nan)
+        return MeanEstimate(math.nan)
     ratio = float(np.mean(values)) / below
-    return Estimate(ratio - 1.0, _half_width(values - ratio * base) / abs(below))
+    return MeanEstimate(ratio - 1.0, _half_width(values - ratio * base) / abs(below))
 
 
-def rms_change(values: Array, base: Array) -> Estimate:
+def rms_change(values: Array, base: Array) -> MeanEstimate:
     """Return RMS(values) / RMS(base) - 1 of pairs from the same draws, as `change`."""
     squares = change(values**2, base**2)
     ratio = math.sqrt(1.0 + squares.value)
-    return Estimate(ratio - 1.0, squares.half_width / (2.0 * ratio) if ratio else squares.half_width)
+    return MeanEstimate(ratio - 1.0, squares.half_width / (2.0 * ratio) if ratio else squares.half_width)
 
 
 def _half_width(values: Array) -> float:
@@ -131,7 +131,7 @@ def _half_width(values: Array) -> float:
     return float(t.ppf(0.5 + CONFIDENCE / 2, count - 1) * np.std(values, ddof=1) / math.sqrt(count))
 
 
-def estimate_text(estimate: Estimate, text: Callable[[float], str]) -> str:
+def estimate_text(estimate: MeanEstimate, text: Callable[[float], str]) -> str:
     """Return a mean and the half width of its interval, with the digits that the interval leaves."""
     value, half = estimate.value, estimate.half_width
     if math.isnan(value) or math.isnan(half) or half <= 1e-9 * abs(value) or text(value).startswith("<"):
@@ -146,7 +146,7 @@ def decimals(half_width: float) -> int:
     return max(0, -power + (half_width < 1.95 * 10.0**power))
 
 
-def change_text(estimate: Estimate) -> str:
+def change_text(estimate: MeanEstimate) -> str:
     """Return a change in percent, or a factor from 10 on; its interval; and whether it is decided, smaller being better."""
     value, half = estimate.value, estimate.half_width
     if math.isnan(value):

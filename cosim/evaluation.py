@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, Strict
 
 from fmu_export.units import same_unit
 from fmu_export.variables import did_you_mean
+from ihc_fmu.pendulum.interface import MODES
 
 from .errors import UserError
 from .structure import Signal, Wire
@@ -197,7 +198,7 @@ def _groups(signals: Sequence[tuple[str, str]]) -> dict[str, tuple[int, ...]]:
 
 
 _ANGLES = {"theta": "arm θ", "delta": "pendulum δ"}
-_MODES = ((1, "idle"), (2, SWING_UP), (3, ACTING), (4, "fault"))
+_MODES = tuple(enumerate(MODES, start=1))
 
 
 ARM_SET_POINT = f"theta{SET_POINT}"

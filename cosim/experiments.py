@@ -19,12 +19,13 @@ from filing.files import staging, write_file
 from fmu_export.errors import UserError
 from fmu_export.files import FilePath
 from fmu_export.reading import read_json
+from ihc_fmu.pendulum.interface import LAWS
 
 from .campaign import Job, run_all
 from .draws import (
     PENDULUM,
     Chance,
-    Estimate,
+    MeanEstimate,
     chance_of,
     change,
     change_text,
@@ -38,8 +39,8 @@ from .fmu import Instance
 from .master import Coupling
 from .metrics import (
     WINDOW,
+    MetricMeaning,
     Metrics,
-    Quantity,
     evaluate,
     is_pendulum,
     kept_upright,
@@ -56,8 +57,6 @@ from .wiring import CONTROLLER
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LAWS = ("LC", "SMC", "IHC")
-"""Names of laws, in the order of tables."""
 LAW = "controller.start.law"
 """The entry that a comparison varies unless it is told another."""
 ABOUT = "comparison.json"
@@ -151,7 +150,7 @@ class Comparison:
         return errors_of(self.results)
 
     @property
-    def quantities(self) -> Mapping[str, Quantity]:
+    def quantities(self) -> Mapping[str, MetricMeaning]:
         """The system's metrics by name."""
         return self.draws[0].metrics.quantities
 
@@ -191,18 +190,18 @@ class Comparison:
         draws = self.counted(law)
         return sum(not d.metrics.steady for d in draws) <= UNSTEADY * len(draws)
 
-    def value(self, law: str, name: str) -> Estimate:
+    def value(self, law: str, name: str) -> MeanEstimate:
         """Return a metric's mean (of steady_rms, the root mean square) over the counted draws, with its interval.
 
         A draw that never settles or captures counts the run's duration. NaN where all do, or one has no number.
         """
         draws = self.counted(law)
         if self.never(law, name) == len(draws):
-            return Estimate(math.nan)
+            return MeanEstimate(math.nan)
         values = np.array([self._number(d, name) for d in draws])
         return root_mean_square(values) if self.quantities[name].over_draws == "rms" else mean(values)
 
-    def change(self, law: str, base: str, name: str) -> Estimate:
+    def change(self, law: str, base: str, name: str) -> MeanEstimate:
         """Return by which part the metric's mean with `law` lies above that with `base`, over the draws that both count.
 
         NaN where there is no such draw, one of them has no value at all, or no steady state to compare: none, or zero.
@@ -212,10 +211,10 @@ class Comparison:
         both = [n for n in numbers[0] if n in numbers[1]]
         none = any(self.never(one, name) == len(self.counted(one)) for one in (law, base))
         if none or (quantity.of_window and not (self.steady(law) and self.steady(base))):
-            return Estimate(math.nan)
+            return MeanEstimate(math.nan)
         values, bases = (np.array([of[n] for n in both]) for of in numbers)
         if quantity.role == "rms" and max(np.max(values, initial=0.0), np.max(bases, initial=0.0)) < quantity.zero:
-            return Estimate(math.nan)
+            return MeanEstimate(math.nan)
         return rms_change(values, bases) if quantity.over_draws == "rms" else change(values, bases)
 
     def _number(self, draw: Draw, name: str) -> float:
@@ -331,12 +330,12 @@ def _files_of(path: Path) -> dict[str, str]:
         return {}
 
 
-def _pair(estimate: Estimate) -> list[float | None]:
+def _pair(estimate: MeanEstimate) -> list[float | None]:
     return [None if math.isnan(v) else v for v in (estimate.value, estimate.half_width)]
 
 
 @dataclass(frozen=True)
-class Study:
+class Experiment:
     """A scenario, the folder of its file, the number of draws (0: once, as it stands), and what is varied in it.
 
     `entry` is what is varied, and `values` its values by the names that they have in tables; None: names are the values.
@@ -398,46 +397,48 @@ def check_outputs(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -
         )
 
 
-def compare(
-    studies: Sequence[Study],
+def run_experiments(
+    experiments: Sequence[Experiment],
     fmus: FilePath,
     laws: Sequence[str] = LAWS,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Comparison]:
-    """Run every law in every study with every draw, in `workers` threads (None: one per core).
+    """Run every law in every experiment with every draw, in `workers` threads (None: one per core).
 
-    All laws of a study see the same encoder offsets and noise; a plant that has neither is run once. `laws` are the names
-    of the choices of each study. `progress(done, total)` counts runs. Raises what a run
+    All laws of an experiment see the same encoder offsets and noise; a plant that has neither is run once. `laws` are the
+    names of the choices of each experiment. `progress(done, total)` counts runs. Raises what a run
     raises; on that, and on Ctrl-C, runs that have not begun are dropped and running ones stopped.
     """
     check_names(laws)
-    for study in studies:  # says what cannot work before anything runs
+    for experiment in experiments:  # says what cannot work before anything runs
         for law in laws:
-            check_outputs(study.at(law, None), fmus, study.folder)
-    studies = [
+            check_outputs(experiment.at(law, None), fmus, experiment.folder)
+    experiments = [
         replace(
-            study,
-            scenario=with_tolerances(study.scenario, fmus, study.folder),
-            chance=chance_of(plant_values(study.scenario, fmus, study.folder)),
+            experiment,
+            scenario=with_tolerances(experiment.scenario, fmus, experiment.folder),
+            chance=chance_of(plant_values(experiment.scenario, fmus, experiment.folder)),
         )
-        for study in studies
+        for experiment in experiments
     ]
     jobs = [
-        Job((s, law, number), study.at(law, number).changed({"record.every": 1}), study.folder)
-        for s, study in enumerate(studies)
-        for number in study.numbers
+        Job((s, law, number), experiment.at(law, number).changed({"record.every": 1}), experiment.folder)
+        for s, experiment in enumerate(experiments)
+        for number in experiment.numbers
         for law in laws
     ]
     found = run_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
     comparisons = []
-    for s, study in enumerate(studies):
-        draws = tuple(Draw(law, n, *found[s, law, n]) for law in laws for n in study.numbers)
+    for s, experiment in enumerate(experiments):
+        draws = tuple(Draw(law, n, *found[s, law, n]) for law in laws for n in experiment.numbers)
         if len({tuple(draw.metrics.quantities) for draw in draws}) > 1:
-            raise UserError(f"runs of different {study.entry} are judged by different signals; evaluate says which")
+            raise UserError(
+                f"runs of different {experiment.entry} are judged by different signals; evaluate says which"
+            )
         rms = measure_of(draws[0].metrics.quantities, "rms").name
         ranked = sorted((d for d in draws if d.law == laws[0]), key=lambda d: d.metrics.values[rms])
         typical = ranked[len(ranked) // 2].number
-        results = {law: run_scenario(study.at(law, typical), fmus, study.folder) for law in laws}
-        comparisons.append(Comparison(study.scenario, draws, results, study.chance))
+        results = {law: run_scenario(experiment.at(law, typical), fmus, experiment.folder) for law in laws}
+        comparisons.append(Comparison(experiment.scenario, draws, results, experiment.chance))
     return comparisons

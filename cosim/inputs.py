@@ -168,7 +168,7 @@ SignalSection = Annotated[
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class TimeTable:
     """Values over growing times [s]; one object per file and column, so that it hashes by what it is."""
 
     times: tuple[float, ...]
@@ -191,7 +191,7 @@ class Table:
         return self.held and _all_whole(self.values)
 
 
-def load_table(path: Path, column: str, *, held: bool) -> Table:
+def load_table(path: Path, column: str, *, held: bool) -> TimeTable:
     """Return the table of a CSV file with a column `time` that grows from row to row, and the column of the values.
 
     Raises UserError for a file that is missing, too large or something else.
@@ -205,14 +205,14 @@ def load_table(path: Path, column: str, *, held: bool) -> Table:
 
 
 @lru_cache(maxsize=16)
-def _loaded(_place: Path, path: Path, column: str, held: bool, _time: int, _size: int) -> Table:
+def _loaded(_place: Path, path: Path, column: str, held: bool, _time: int, _size: int) -> TimeTable:
     def choose(names: Sequence[str]) -> Sequence[str]:
         if "time" not in names or column not in names:
             raise UserError(f"{path} must have the columns time and {column}, found {', '.join(names) or 'nothing'}")
         return [column]
 
     columns = read_columns(path, choose, "signal")
-    return Table(columns["time"], columns[column], held)
+    return TimeTable(columns["time"], columns[column], held)
 
 
 def read_columns(

@@ -27,7 +27,7 @@ from .interrupts import deferred_interrupt, second_ends
 from .native_loop import NativeLoop, needs_python
 from .results import Interrupted, Result, SimulationError, versions
 from .room import check_rows
-from .structure import System, Wire
+from .structure import SystemStructure, Wire
 from .unit_definitions import NO_UNIT, check_units, declared_unit, unit_in, unit_of
 
 Order = Literal["controller-first", "parallel"]
@@ -60,7 +60,7 @@ def step_count(step: float, duration: float) -> int:
 class Coupling:
     """The instances of a system with its wires resolved; construction checks everything that can be checked."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: SystemStructure) -> None:
         names = [c.name for c in system.components]
         if len(set(names)) != len(names) or not all(name.isidentifier() for name in names):
             raise UserError(f"instances need unique names of letters, digits and underscores, found {', '.join(names)}")
@@ -221,7 +221,7 @@ class _Recorder:
 
 
 def simulate(
-    system: System,
+    system: SystemStructure,
     step: float,
     duration: float,
     order: Order = "controller-first",
@@ -315,7 +315,7 @@ def simulate(
     return run.execute(step, start_time, order, engine, progress)
 
 
-def _conversions(system: System) -> dict[str, Any]:
+def _conversions(system: SystemStructure) -> dict[str, Any]:
     """Return factor and offset of the wires that convert, by their targets, as metadata; nothing where none does."""
     found = {w.target: [w.factor, w.offset] for w in system.wires if w.converts}
     return {"conversions": found} if found else {}

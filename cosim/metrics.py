@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 
+from ihc_fmu.pendulum.supervisor import Mode
 from ihc_fmu.system import QUIET
 
 from .errors import UserError
@@ -32,7 +33,7 @@ from .recording import Recording
 
 Array = np.ndarray
 
-STABILIZING = 3
+STABILIZING = int(Mode.STABILIZING)
 """Value of the output `mode` of the pendulum's controller while the stabilizing law acts."""
 
 MOST = math.sqrt(sys.float_info.max)
@@ -59,7 +60,7 @@ Role = Literal["settling", "integral", "rms", "trend", "energy", "peak", "variat
 
 
 @dataclass(frozen=True, slots=True)
-class Quantity:
+class MetricMeaning:
     """A metric as tables, pictures and texts show it.
 
     `role` is what it says, `group` the numbers of the errors or controls that it is said of. `over_draws`: how it is
@@ -121,7 +122,7 @@ class Metrics:
     """
 
     values: Mapping[str, float]
-    quantities: Mapping[str, Quantity]
+    quantities: Mapping[str, MetricMeaning]
 
     def __getattr__(self, name: str) -> float:
         try:
@@ -164,31 +165,33 @@ def squared(unit: str) -> str:
 
 
 @lru_cache(maxsize=64)
-def quantities_of(evaluation: Evaluation) -> dict[str, Quantity]:
+def quantities_of(evaluation: Evaluation) -> dict[str, MetricMeaning]:
     """Return every metric of a system by its name in files, in the order of tables."""
-    about, words = evaluation, _WORDS[evaluation.kind]
-    groups = zip(about.error_groups.items(), about.settled, strict=True)
-    errors = [_error_quantities(about, words, suffix, group, within) for (suffix, group), within in groups]
-    controls = [_control_quantities(about, words, suffix, group) for suffix, group in about.control_groups.items()]
+    words = _WORDS[evaluation.kind]
+    groups = zip(evaluation.error_groups.items(), evaluation.settled, strict=True)
+    errors = [_error_quantities(evaluation, words, suffix, group, within) for (suffix, group), within in groups]
+    controls = [
+        _control_quantities(evaluation, words, suffix, group) for suffix, group in evaluation.control_groups.items()
+    ]
     found = [q for some in (*errors, *controls) for q in some]
-    if about.mode is not None and about.mode.value(SWING_UP) is not None:
+    if evaluation.mode is not None and evaluation.mode.value(SWING_UP) is not None:
         found += [
-            Quantity("capture_time", "capture", "s", "the stabilizing law first acts", "capture", never=True),
-            Quantity("captures", "captures", "", "how often the stabilizing law took over", "captures"),
+            MetricMeaning("capture_time", "capture", "s", "the stabilizing law first acts", "capture", never=True),
+            MetricMeaning("captures", "captures", "", "how often the stabilizing law took over", "captures"),
         ]
     return {q.name: q for q in found}
 
 
 def _error_quantities(
-    about: Evaluation, words: _Words, suffix: str, group: tuple[int, ...], tolerance: float | None
-) -> list[Quantity]:
-    unit = about.error_unit(group)
+    evaluation: Evaluation, words: _Words, suffix: str, group: tuple[int, ...], tolerance: float | None
+) -> list[MetricMeaning]:
+    unit = evaluation.error_unit(group)
     shown = "" if unit == NO_UNIT else unit
-    e = f"|{words.norm}|" if not suffix else f"|{words.norm} {about.errors[group[0]].name}|"
+    e = f"|{words.norm}|" if not suffix else f"|{words.norm} {evaluation.errors[group[0]].name}|"
     of = f" {e}" if suffix else ""
     within = f"{100 * SHARE:g} % of its largest" if tolerance is None else f"{tolerance:g} {shown}".rstrip()
     return [
-        Quantity(
+        MetricMeaning(
             f"settling_time{suffix}",
             f"settling{of}",
             "s",
@@ -197,7 +200,7 @@ def _error_quantities(
             group,
             never=True,
         ),
-        Quantity(
+        MetricMeaning(
             f"{words.integral}{suffix}",
             f"∫{e}² dt",
             f"{squared(unit)} s".strip(),
@@ -205,7 +208,7 @@ def _error_quantities(
             "integral",
             group,
         ),
-        Quantity(
+        MetricMeaning(
             f"steady_rms{suffix}",
             f"steady RMS {e}",
             shown,
@@ -216,7 +219,7 @@ def _error_quantities(
             of_window=True,
             zero=0.0 if tolerance is None else ZERO * tolerance,
         ),
-        Quantity(
+        MetricMeaning(
             f"steady_trend{suffix}",
             f"steady trend{of}",
             "",
@@ -227,19 +230,21 @@ def _error_quantities(
     ]
 
 
-def _control_quantities(about: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]) -> list[Quantity]:
-    unit = about.controls[group[0]].unit
+def _control_quantities(
+    evaluation: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]
+) -> list[MetricMeaning]:
+    unit = evaluation.controls[group[0]].unit
     shown = "" if unit == NO_UNIT else unit
-    names = [about.controls[k].name for k in group]
-    pendulum = about.kind == "pendulum"
+    names = [evaluation.controls[k].name for k in group]
+    pendulum = evaluation.kind == "pendulum"
     one = "V" if pendulum else names[0] if len(group) == 1 else "u"
     called = "voltage" if pendulum else one if len(group) == 1 else "controls"
     energy = f"∫{one}² dt" if len(group) == 1 else "∫Σu² dt"
     held = "voltage" if pendulum else "controls"
     peaks = [
-        Quantity(
-            f"{words.peak}{suffix if len(group) == 1 else f'[{about.controls[k].signal}]'}",
-            f"peak |{'V' if pendulum else about.controls[k].name}|",
+        MetricMeaning(
+            f"{words.peak}{suffix if len(group) == 1 else f'[{evaluation.controls[k].signal}]'}",
+            f"peak |{'V' if pendulum else evaluation.controls[k].name}|",
             shown,
             "over the run",
             "peak",
@@ -248,7 +253,7 @@ def _control_quantities(about: Evaluation, words: _Words, suffix: str, group: tu
         for k in group
     ]
     return [
-        Quantity(
+        MetricMeaning(
             f"energy{suffix}",
             energy,
             f"{squared(unit)} s".strip(),
@@ -257,7 +262,7 @@ def _control_quantities(about: Evaluation, words: _Words, suffix: str, group: tu
             group,
         ),
         *peaks,
-        Quantity(
+        MetricMeaning(
             f"{words.variation}{suffix}",
             f"variation of {one}",
             f"{shown or '1'}/s",
@@ -273,12 +278,12 @@ QUANTITIES = quantities_of(pendulum_evaluation({}))
 """The pendulum's metrics by their names in files."""
 
 
-def is_pendulum(quantities: Mapping[str, Quantity]) -> bool:
+def is_pendulum(quantities: Mapping[str, MetricMeaning]) -> bool:
     """Return whether these are the pendulum's metrics."""
     return quantities == QUANTITIES
 
 
-def measure_of(quantities: Mapping[str, Quantity], role: Role) -> Quantity:
+def measure_of(quantities: Mapping[str, MetricMeaning], role: Role) -> MetricMeaning:
     """Return the first metric of a role."""
     return next(q for q in quantities.values() if q.role == role)
 
@@ -341,23 +346,23 @@ def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) 
 
 def can_evaluate(result: Recording) -> bool:
     """Return whether `result` has the signals that its metrics need."""
-    about = evaluation_in(result)
-    if not about.errors or missing_signals(result.signals, about):
+    evaluation = evaluation_in(result)
+    if not evaluation.errors or missing_signals(result.signals, evaluation):
         return False
-    if about.mode is None:
+    if evaluation.mode is None:
         return True
-    mode = result[about.mode.signal]
+    mode = result[evaluation.mode.signal]
     return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
 
 
 @QUIET
 def at_rest(result: Recording) -> bool:
     """Return whether no error and no control changes in a run, and each error is 0 but for rounding; needs a judged one."""
-    about = evaluation_in(result)
+    evaluation = evaluation_in(result)
     if not can_evaluate(result):
         return False
-    signals = [result[s.signal] for s in (*about.errors, *about.controls)]
-    errors = [(error(result, e), given(result, e)) for e in about.errors]
+    signals = [result[s.signal] for s in (*evaluation.errors, *evaluation.controls)]
+    errors = [(error(result, e), given(result, e)) for e in evaluation.errors]
     return all(np.ptp(s) == 0.0 for s in signals) and all(np.all(np.abs(e) <= 1e-12 * np.abs(y)) for e, y in errors)
 
 
@@ -367,9 +372,9 @@ def overflow(result: Recording) -> str:
 
     Beyond MOST its square is infinite, and so are the metrics. Needs a result that can be evaluated.
     """
-    about = evaluation_in(result)
-    signals = [(e.signal, error(result, e)) for e in about.errors]
-    signals += [(c.signal, np.asarray(result[c.signal])) for c in about.controls]
+    evaluation = evaluation_in(result)
+    signals = [(e.signal, error(result, e)) for e in evaluation.errors]
+    signals += [(c.signal, np.asarray(result[c.signal])) for c in evaluation.controls]
     rows = [(np.flatnonzero(~(np.abs(s) < MOST)), name) for name, s in signals]
     found = [(float(result.time[beyond[0]]), name) for beyond, name in rows if beyond.size]
     if not found:
@@ -380,29 +385,29 @@ def overflow(result: Recording) -> str:
 
 def can_draw(result: Recording) -> bool:
     """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
-    about = evaluation_in(result)
-    return about.kind != "pendulum" or about.norm in result.signals
+    evaluation = evaluation_in(result)
+    return evaluation.kind != "pendulum" or evaluation.norm in result.signals
 
 
 @QUIET
-def error(result: Recording, about: ErrorSignal) -> Array:
+def error(result: Recording, signal: ErrorSignal) -> Array:
     """Return an error at each row: what the controller is given of a signal, less its set-point."""
-    e, point = given(result, about), set_point(result, about)
+    e, point = given(result, signal), set_point(result, signal)
     if point is not None:
         e = e - point
-    return wrapped(e) if about.wraps else e
+    return wrapped(e) if signal.wraps else e
 
 
-def given(result: Recording, about: ErrorSignal) -> Array:
+def given(result: Recording, signal: ErrorSignal) -> Array:
     """Return a judged signal at each row, as the controller is given it."""
-    return _converted(result[about.signal], about.factor, about.offset)
+    return _converted(result[signal.signal], signal.factor, signal.offset)
 
 
-def set_point(result: Recording, about: ErrorSignal) -> Array | None:
+def set_point(result: Recording, signal: ErrorSignal) -> Array | None:
     """Return an error's set-point at each row; None where it has none."""
-    if about.set_point is not None:
-        return _converted(result[about.set_point], about.point_factor, about.point_offset)
-    return np.full(len(result.time), about.constant) if about.constant else None
+    if signal.set_point is not None:
+        return _converted(result[signal.set_point], signal.point_factor, signal.point_offset)
+    return np.full(len(result.time), signal.constant) if signal.constant else None
 
 
 def _converted(signal: Array, factor: float, offset: float) -> Array:
@@ -411,11 +416,11 @@ def _converted(signal: Array, factor: float, offset: float) -> Array:
 
 
 @QUIET
-def error_norm(result: Recording, about: Evaluation, group: Sequence[int]) -> Array:
+def error_norm(result: Recording, evaluation: Evaluation, group: Sequence[int]) -> Array:
     """Return |e| of a group of errors at each row, each over its scale where there are scales."""
-    errors = [error(result, about.errors[k]) for k in group]
-    if about.scales is not None:
-        errors = [e / about.scales[k] for k, e in zip(group, errors, strict=True)]
+    errors = [error(result, evaluation.errors[k]) for k in group]
+    if evaluation.scales is not None:
+        errors = [e / evaluation.scales[k] for k, e in zip(group, errors, strict=True)]
     if len(errors) == 1:
         return np.abs(errors[0])
     return np.hypot(*errors) if len(errors) == 2 else np.sqrt(sum(e**2 for e in errors))
@@ -423,10 +428,10 @@ def error_norm(result: Recording, about: Evaluation, group: Sequence[int]) -> Ar
 
 def angle_norm(result: Recording) -> Array:
     """Return |q| [rad] of the pendulum at each row: of the true angles where the result has them, else of the measured."""
-    about = evaluation_in(result)
-    if about.kind != "pendulum" or any(e.signal not in result.signals for e in about.errors):
+    evaluation = evaluation_in(result)
+    if evaluation.kind != "pendulum" or any(e.signal not in result.signals for e in evaluation.errors):
         raise UserError("the result has neither plant.theta and plant.delta nor the encoders' angles")
-    return error_norm(result, about, (0, 1))
+    return error_norm(result, evaluation, (0, 1))
 
 
 def settling_time(time: Array, q: Array, tolerance: float) -> float:
@@ -445,11 +450,11 @@ def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:
 
 def kept_upright(result: Recording) -> bool:
     """Return whether the stabilizing law took over once and acts at the end; without such a mode, whether all is finite."""
-    about = evaluation_in(result)
-    acts = None if about.mode is None else about.mode.value(ACTING)
-    if about.mode is None or acts is None:
-        return all(bool(np.all(np.isfinite(result[name]))) for name in about.signals)
-    mode = result[about.mode.signal]
+    evaluation = evaluation_in(result)
+    acts = None if evaluation.mode is None else evaluation.mode.value(ACTING)
+    if evaluation.mode is None or acts is None:
+        return all(bool(np.all(np.isfinite(result[name]))) for name in evaluation.signals)
+    mode = result[evaluation.mode.signal]
     return takeovers(mode, acts).size == 1 and bool(mode[-1] == acts)
 
 
@@ -491,9 +496,9 @@ def evaluate(result: Recording, tolerance: float | None = None, steady: float = 
     """
     if len(result.time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(result.time)}")
-    about = evaluation_in(result)
-    _check(result, about)
-    return _judged(result, with_tolerances(result, about), tolerance, steady)
+    evaluation = evaluation_in(result)
+    _check(result, evaluation)
+    return _judged(result, with_tolerances(result, evaluation), tolerance, steady)
 
 
 def evaluate_alike(results: Mapping[str, Recording]) -> dict[str, Metrics]:
@@ -501,16 +506,18 @@ def evaluate_alike(results: Mapping[str, Recording]) -> dict[str, Metrics]:
 
     Raises UserError as `evaluate`, and for results that are judged by different signals.
     """
-    abouts = {name: evaluation_in(result) for name, result in results.items()}
-    for name, about in abouts.items():
-        _check(results[name], about)
-    whole = {name: with_tolerances(results[name], about) for name, about in abouts.items()}
-    if len({len(about.settled) for about in whole.values()}) == 1:
-        widest = tuple(max(column) for column in zip(*(about.settled for about in whole.values()), strict=True))
-        for name, about in abouts.items():
-            if None in about.settled:
-                whole[name] = about.model_copy(update={"tolerances": widest})
-    found = {name: _judged(results[name], about) for name, about in whole.items()}
+    evaluations = {name: evaluation_in(result) for name, result in results.items()}
+    for name, evaluation in evaluations.items():
+        _check(results[name], evaluation)
+    whole = {name: with_tolerances(results[name], evaluation) for name, evaluation in evaluations.items()}
+    if len({len(evaluation.settled) for evaluation in whole.values()}) == 1:
+        widest = tuple(
+            max(column) for column in zip(*(evaluation.settled for evaluation in whole.values()), strict=True)
+        )
+        for name, evaluation in evaluations.items():
+            if None in evaluation.settled:
+                whole[name] = evaluation.model_copy(update={"tolerances": widest})
+    found = {name: _judged(results[name], evaluation) for name, evaluation in whole.items()}
     quantities = next(iter(found.values())).quantities
     other = next((name for name, m in found.items() if m.quantities != quantities), None)
     if other is not None:
@@ -518,48 +525,50 @@ def evaluate_alike(results: Mapping[str, Recording]) -> dict[str, Metrics]:
     return found
 
 
-def _check(result: Recording, about: Evaluation) -> None:
+def _check(result: Recording, evaluation: Evaluation) -> None:
     """Raise UserError where a result lacks what it is judged by."""
-    missing = missing_signals(result.signals, about)
-    if about.kind == "pendulum":
+    missing = missing_signals(result.signals, evaluation)
+    if evaluation.kind == "pendulum":
         angle_norm(result)  # says which pairs of angles would do
     if missing:
         raise UserError(f"the result has no signal {missing[0]!r}; it has {', '.join(result.signals)}")
 
 
 @QUIET
-def _judged(result: Recording, about: Evaluation, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
-    judge = _Judge(result, about, tolerance, steady)
-    quantities = quantities_of(about)
+def _judged(
+    result: Recording, evaluation: Evaluation, tolerance: float | None = None, steady: float = WINDOW
+) -> Metrics:
+    judge = _Judge(result, evaluation, tolerance, steady)
+    quantities = quantities_of(evaluation)
     return Metrics({name: judge.number(q) for name, q in quantities.items()}, quantities)
 
 
-def with_tolerances(result: Recording, about: Evaluation) -> Evaluation:
+def with_tolerances(result: Recording, evaluation: Evaluation) -> Evaluation:
     """Return what a result is judged by with tolerances: SHARE of each group's largest |e| in it, where there are none."""
-    if None not in about.settled:
-        return about
-    norms = [error_norm(result, about, group) for group in about.error_groups.values()]
+    if None not in evaluation.settled:
+        return evaluation
+    norms = [error_norm(result, evaluation, group) for group in evaluation.error_groups.values()]
     largest = [float(np.max(e, where=np.isfinite(e), initial=0.0)) for e in norms]
-    return about.model_copy(update={"tolerances": tuple(max(float(f"{SHARE * e:.2g}"), LEAST) for e in largest)})
+    return evaluation.model_copy(update={"tolerances": tuple(max(float(f"{SHARE * e:.2g}"), LEAST) for e in largest)})
 
 
 class _Judge:
     """A result with its errors' norms and controls at hand."""
 
-    def __init__(self, result: Recording, about: Evaluation, tolerance: float | None, steady: float) -> None:
+    def __init__(self, result: Recording, evaluation: Evaluation, tolerance: float | None, steady: float) -> None:
         self.time, self.steady = result.time, steady
-        self.own = dict(zip(about.error_groups.values(), map(float, about.settled), strict=True))  # type: ignore[arg-type]
+        self.own = dict(zip(evaluation.error_groups.values(), map(float, evaluation.settled), strict=True))  # type: ignore[arg-type]
         self.settled = self.own if tolerance is None else dict.fromkeys(self.own, tolerance)
         self.late = self.time >= self.time[-1] - steady
-        self.norms = {group: error_norm(result, about, group) for group in about.error_groups.values()}
-        self.controls = [np.asarray(result[control.signal]) for control in about.controls]
+        self.norms = {group: error_norm(result, evaluation, group) for group in evaluation.error_groups.values()}
+        self.controls = [np.asarray(result[control.signal]) for control in evaluation.controls]
         self.every_row = has_every_row(result)
-        acts = None if about.mode is None else about.mode.value(ACTING)
+        acts = None if evaluation.mode is None else evaluation.mode.value(ACTING)
         self.captures = np.zeros(0, int)
-        if about.mode is not None and acts is not None:
-            self.captures = takeovers(result[about.mode.signal], acts)
+        if evaluation.mode is not None and acts is not None:
+            self.captures = takeovers(result[evaluation.mode.signal], acts)
 
-    def number(self, q: Quantity) -> float:
+    def number(self, q: MetricMeaning) -> float:
         """Return the value of a metric."""
         if q.role == "capture":
             return float(self.time[self.captures[0]]) if self.captures.size else math.nan
@@ -569,7 +578,7 @@ class _Judge:
             return self._of_controls(q)
         return self._of_errors(q, self.norms[q.group])
 
-    def _of_errors(self, q: Quantity, e: Array) -> float:
+    def _of_errors(self, q: MetricMeaning, e: Array) -> float:
         if q.role == "settling":
             return settling_time(self.time, e, self.settled[q.group])
         if q.role == "integral":
@@ -578,7 +587,7 @@ class _Judge:
             return float(np.sqrt(np.mean(e[self.late] ** 2)))
         return trend(self.time, e, self.steady, ZERO * self.own[q.group])
 
-    def _of_controls(self, q: Quantity) -> float:
+    def _of_controls(self, q: MetricMeaning) -> float:
         some = [self.controls[k] for k in q.group]
         if q.role == "peak":
             return max(float(np.max(np.abs(u))) for u in some)

@@ -31,8 +31,8 @@ from . import design_match, pendulum, pendulum_match
 from .design_match import SAME, Expected
 from .fmu import describe, start_values_of
 from .pendulum_match import Model
-from .plant_as_wired import COUNTS, TRUE, Found, Place, Port, Question, found, judged
-from .structure import Component, System, Wire
+from .plant_as_wired import COUNTS, TRUE, ComparedWire, Found, Place, Question, found, judged
+from .structure import Component, SystemStructure, Wire
 from .unit_definitions import NO_UNIT, conversion, conversion_asked, known_scale, unit_of
 from .unit_slips import SCALE_TOLERANCE
 from .wire_factors import Wired
@@ -48,7 +48,7 @@ REACH = 5.0
 """How many times the room within the limits an input's size may be."""
 
 
-def misfit(system: System) -> str | None:
+def misfit(system: SystemStructure) -> str | None:
     """Return how the model that a system's controller was designed for differs from its plant's; None where it fits.
 
     None too where there are not both, or one of them does not say.
@@ -67,7 +67,7 @@ def misfit(system: System) -> str | None:
     return _misfit(expected, question, pair.plain)
 
 
-def remarks(system: System) -> list[str]:
+def remarks(system: SystemStructure) -> list[str]:
     """Return what is to be known of a system's controller on its plant, although they fit."""
     pair = _Pair.of(system)
     if pair is None:
@@ -224,7 +224,7 @@ class _Pair:
     plant_values: Mapping[str, Any]
 
     @classmethod
-    def of(cls, system: System) -> _Pair | None:
+    def of(cls, system: SystemStructure) -> _Pair | None:
         """Return the two; None where there are not both."""
         there = {c.name: c for c in system.components}
         if not {CONTROLLER, PLANT} <= there.keys():
@@ -280,7 +280,7 @@ class _Pair:
             span=_span(system),
         )
 
-    def _ports(self, source: str, target: str, names: Sequence[str]) -> tuple[Port, ...]:
+    def _ports(self, source: str, target: str, names: Sequence[str]) -> tuple[ComparedWire, ...]:
         """Return the wires from one to the other whose variable of the controller is one of `names`."""
         found = []
         for wire in self.wires:
@@ -292,7 +292,7 @@ class _Pair:
             ):
                 units = [self._unit(source, ends[source]), self._unit(target, ends[target])]
                 found.append(
-                    Port(
+                    ComparedWire(
                         ends[PLANT],
                         names.index(ends[CONTROLLER]),
                         wire.factor,
@@ -322,7 +322,9 @@ class _Pair:
         asked = conversion_asked(scales[0], scales[1])
         return None if asked is None else asked[0]
 
-    def _places(self, expected: Expected, outputs: Sequence[Port], inputs: Sequence[Port]) -> dict[str, Place]:
+    def _places(
+        self, expected: Expected, outputs: Sequence[ComparedWire], inputs: Sequence[ComparedWire]
+    ) -> dict[str, Place]:
         """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires."""
         units: dict[str, tuple[float, float] | None] = {}
         for quantity in expected.system.states:
@@ -335,7 +337,7 @@ class _Pair:
         return _places(expected, units, outputs, inputs)
 
 
-def _unconverted(ports: Sequence[Port]) -> tuple[Port, ...]:
+def _unconverted(ports: Sequence[ComparedWire]) -> tuple[ComparedWire, ...]:
     return tuple(replace(port, factor=1.0, offset=0.0) for port in ports)
 
 
@@ -371,8 +373,8 @@ def _span(system: LinearSystem) -> float:
 def _places(
     expected: Expected,
     units: Mapping[str, tuple[float, float] | None],
-    outputs: Sequence[Port],
-    inputs: Sequence[Port],
+    outputs: Sequence[ComparedWire],
+    inputs: Sequence[ComparedWire],
 ) -> dict[str, Place]:
     """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires.
 

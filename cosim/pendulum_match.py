@@ -62,7 +62,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Distance:
+class ModelDistance:
     """How far a model is from the plant's: A, and its stiffness, relative; b's gain and sine of the angle; kinematics."""
 
     A: float
@@ -117,7 +117,7 @@ def _finite(model: Model) -> Model | None:
     return model if np.isfinite(model.A).all() and np.isfinite(model.b).all() and model.b.any() else None
 
 
-def distance(model: Model, plant: Model) -> Distance:
+def distance(model: Model, plant: Model) -> ModelDistance:
     """Return how far `model` is from `plant`."""
     squares, inner = float(plant.b @ plant.b), float(plant.b @ model.b)
     size = math.sqrt(squares) * float(np.linalg.norm(model.b))
@@ -127,7 +127,7 @@ def distance(model: Model, plant: Model) -> Distance:
         real = plant.A[rows, columns]
         return float(np.linalg.norm(model.A[rows, columns] - real) / np.linalg.norm(real))
 
-    return Distance(
+    return ModelDistance(
         A=relative(slice(None), slice(None)),
         stiffness=relative(slice(half, None), slice(half)),
         gain=inner / squares,

@@ -39,7 +39,7 @@ TRUE, RESOLUTION = "_true", "_resolution"
 
 
 @dataclass(frozen=True)
-class Port:
+class ComparedWire:
     """A wire: the plant's variable, the number of the controller's among its own, target = factor source + offset.
 
     `asked`: the factor that the units at both ends ask for, None where these do not say; `declared`: whether both declare
@@ -75,8 +75,8 @@ class Question:
     path: Path
     content: str
     start: tuple[tuple[str, Value | str], ...]
-    outputs: tuple[Port, ...]
-    inputs: tuple[Port, ...]
+    outputs: tuple[ComparedWire, ...]
+    inputs: tuple[ComparedWire, ...]
     places: tuple[tuple[str, Place], ...]
     unconverted: tuple[tuple[str, Place], ...]
     span: float

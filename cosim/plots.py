@@ -55,11 +55,11 @@ def literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def norm_label(about: Evaluation, suffix: str) -> str:
+def norm_label(evaluation: Evaluation, suffix: str) -> str:
     """Return what stands beside the axis of a group's |e|."""
-    group = about.error_groups[suffix]
-    unit = about.error_unit(group)
-    name = f"|e {about.errors[group[0]].name}|" if suffix else "|q|" if about.kind == "pendulum" else "|e|"
+    group = evaluation.error_groups[suffix]
+    unit = evaluation.error_unit(group)
+    name = f"|e {evaluation.errors[group[0]].name}|" if suffix else "|q|" if evaluation.kind == "pendulum" else "|e|"
     return literal(name + ("" if unit == NO_UNIT else f" [{unit}]"))
 
 
@@ -91,12 +91,12 @@ def law_of(result: Recording) -> str:
     return law if isinstance(law, str) else ""
 
 
-def _start_of(about: Any, name: str) -> dict[str, Any]:
+def _start_of(metadata: Any, name: str) -> dict[str, Any]:
     """Return the controller's start values in metadata or in a scenario, wherever either has them."""
     keys = ("controller", name) if name == "start" else (name, "controller")
     for key in keys:
-        about = about.get(key) if isinstance(about, dict) else None
-    return about if isinstance(about, dict) else {}
+        metadata = metadata.get(key) if isinstance(metadata, dict) else None
+    return metadata if isinstance(metadata, dict) else {}
 
 
 PICTURES = {
@@ -116,16 +116,16 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
     for other systems; the last only where all results have one.
     """
     results = {literal(name): _within_range(result) for name, result in results.items()}
-    about = evaluation_in(next(iter(results.values())))
+    evaluation = evaluation_in(next(iter(results.values())))
     norms = [
-        (norm_label(about, suffix), lambda result, group=group: error_norm(result, about, group))
-        for suffix, group in about.error_groups.items()
+        (norm_label(evaluation, suffix), lambda result, group=group: error_norm(result, evaluation, group))
+        for suffix, group in evaluation.error_groups.items()
     ]
-    figures = [_errors(results, about), _logarithmic(results, norms), _controls(results, about)]
-    if _has_norm(about, results.values()):
-        homogeneous = (f"homogeneous norm {NORM}", lambda result: result[about.norm or ""])
+    figures = [_errors(results, evaluation), _logarithmic(results, norms), _controls(results, evaluation)]
+    if _has_norm(evaluation, results.values()):
+        homogeneous = (f"homogeneous norm {NORM}", lambda result: result[evaluation.norm or ""])
         figures.append(_logarithmic(results, [homogeneous]))
-    names = PICTURES[about.kind]
+    names = PICTURES[evaluation.kind]
     return [
         save_figure(figure, Path(folder) / f"{name}.png", title)
         for name, figure in zip(names, figures, strict=False)
@@ -150,10 +150,10 @@ def _within_range(result: Recording) -> Recording:
     )
 
 
-def _has_norm(about: Evaluation, results: Iterable[Recording]) -> bool:
+def _has_norm(evaluation: Evaluation, results: Iterable[Recording]) -> bool:
     """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
-    return about.norm is not None and (
-        about.kind == "pendulum" or all(about.norm in result.signals for result in results)
+    return evaluation.norm is not None and (
+        evaluation.kind == "pendulum" or all(evaluation.norm in result.signals for result in results)
     )
 
 
@@ -165,10 +165,10 @@ def save_overview(result: Recording, path: FilePath, title: str) -> Path:
 def overview(result: Recording) -> Figure:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     result = _within_range(result)
-    about = evaluation_in(result)
-    has_norm = _has_norm(about, [result])
-    groups = about.error_groups if len(about.errors) > 1 else {}
-    count = len(about.errors) + len(groups) + len(about.controls) + has_norm
+    evaluation = evaluation_in(result)
+    has_norm = _has_norm(evaluation, [result])
+    groups = evaluation.error_groups if len(evaluation.errors) > 1 else {}
+    count = len(evaluation.errors) + len(groups) + len(evaluation.controls) + has_norm
     figure = Picture(figsize=(9, 1.8 * max(count, 2)), layout="constrained")
     axes = iter(all_axes := figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     colour = COLOURS.get(law_of(result), COLOURS["IHC"])
@@ -176,18 +176,18 @@ def overview(result: Recording) -> Figure:
         _shade_modes(axis, result)
         axis.margins(x=0)
         axis.grid(alpha=0.3)
-    for error, axis in zip(about.errors, axes):  # noqa: B905 - the axes go on
+    for error, axis in zip(evaluation.errors, axes):  # noqa: B905 - the axes go on
         _draw_error(axis, result, error, colour)
         axis.set_ylabel(label(error))
     for suffix, group in groups.items():
-        positive(axis := next(axes), result.time, error_norm(result, about, group), colour)
-        axis.set_ylabel(norm_label(about, suffix))
-    for control in about.controls:
+        positive(axis := next(axes), result.time, error_norm(result, evaluation, group), colour)
+        axis.set_ylabel(norm_label(evaluation, suffix))
+    for control in evaluation.controls:
         axis = next(axes)
         axis.plot(result.time, result[control.signal], color=colour, lw=1.0, drawstyle="steps-pre")
         axis.set_ylabel(label(control))
     if has_norm:
-        positive(axis := next(axes), result.time, result[about.norm or ""], colour)
+        positive(axis := next(axes), result.time, result[evaluation.norm or ""], colour)
         axis.set_ylabel(NORM)
     all_axes[-1].set_xlabel("time [s]")
     figure.align_ylabels(all_axes)
@@ -269,16 +269,16 @@ def _draw_error(
         axis.plot(result.time[shown], point[shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
 
 
-def _errors(results: Mapping[str, Recording], about: Evaluation) -> Figure:
+def _errors(results: Mapping[str, Recording], evaluation: Evaluation) -> Figure:
     """Return what is judged of each result: on the left the whole run, on the right its end, each with its own scale."""
-    count, ribbon = len(about.errors), about.mode is not None
+    count, ribbon = len(evaluation.errors), evaluation.mode is not None
     figure = Picture(figsize=(11, 2.9 * count + 1.0), layout="constrained")
     ratios = [*[8] * count, *[0.7 * len(results)] * ribbon]
     panels = figure.subplots(count + ribbon, 2, sharex="col", height_ratios=ratios, width_ratios=[3, 2], squeeze=False)
     shades = colours(results)
     end = max(float(result.time[-1]) for result in results.values())
     for column, begin in enumerate((0.0, LATE)):
-        for axis, error in zip(panels[:count, column], about.errors, strict=True):
+        for axis, error in zip(panels[:count, column], evaluation.errors, strict=True):
             for law, result in results.items():
                 _draw_error(axis, result, error, shades[law], law, begin)
             axis.grid(alpha=0.3)
@@ -311,20 +311,20 @@ def _logarithmic(results: Mapping[str, Recording], curves: Sequence[tuple[str, A
     return figure
 
 
-def _controls(results: Mapping[str, Recording], about: Evaluation) -> Figure | None:
+def _controls(results: Mapping[str, Recording], evaluation: Evaluation) -> Figure | None:
     """Return a panel for each result and control, all of a control on the same scale; None where nothing is controlled."""
-    if not about.controls:
+    if not evaluation.controls:
         return None
-    figure, axes, ribbon = _with_ribbon(len(results) * len(about.controls), results)
+    figure, axes, ribbon = _with_ribbon(len(results) * len(evaluation.controls), results)
     shades = colours(results)
-    pairs = [(law, result, control) for law, result in results.items() for control in about.controls]
+    pairs = [(law, result, control) for law, result in results.items() for control in evaluation.controls]
     for axis, (law, result, control) in zip(axes, pairs, strict=True):
         _shade_modes(axis, result)
         axis.plot(result.time, result[control.signal], color=shades[law], lw=0.7, drawstyle="steps-pre")
         unit = "" if control.unit == NO_UNIT else f" [{literal(control.unit)}]"
-        axis.set_ylabel(f"{law}{unit}" if about.kind == "pendulum" else f"{law}\n{label(control)}")
+        axis.set_ylabel(f"{law}{unit}" if evaluation.kind == "pendulum" else f"{law}\n{label(control)}")
         axis.grid(alpha=0.3)
-    count = len(about.controls)
+    count = len(evaluation.controls)
     for i in range(count):
         limits = [axis.get_ylim() for axis in axes[i::count]]
         for axis in axes[i::count]:
@@ -378,10 +378,10 @@ def mode_colours(result: Recording) -> dict[int, str]:
 
 def mode_spans(result: Recording) -> list[tuple[int, float, float]]:
     """Return (mode, start, end) [s] of each stretch of time in one mode; none where the controller has no modes."""
-    about = evaluation_in(result).mode
-    if about is None:
+    output = evaluation_in(result).mode
+    if output is None:
         return []
-    mode, time = result[about.signal], result.time
+    mode, time = result[output.signal], result.time
     starts = np.concatenate([[0], np.flatnonzero(np.diff(mode)) + 1])
     ends = np.concatenate([starts[1:], [len(time) - 1]])
     return [(int(mode[a]), float(time[a]), float(time[b])) for a, b in zip(starts, ends, strict=True)]

@@ -138,14 +138,18 @@ def compare(
         As `run`.
 
     """
-    from .experiments import LAWS, Study, laws_of  # noqa: PLC0415 - heavy
-    from .experiments import compare as compare_studies  # noqa: PLC0415
+    from .experiments import (  # noqa: PLC0415 - heavy
+        LAWS,
+        Experiment,
+        laws_of,
+        run_experiments,
+    )
 
     chosen, folder, place = _located(scenario, changes, fmus)
     if laws is None:
         laws = [law for law in laws_of(chosen, place, folder) if law in LAWS]
     _warn(remarks(build_system(chosen, place, folder), chosen))
-    (found,) = compare_studies([Study(chosen, folder, draws)], place, laws, workers)
+    (found,) = run_experiments([Experiment(chosen, folder, draws)], place, laws, workers)
     return found
 
 

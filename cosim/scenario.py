@@ -34,7 +34,7 @@ from .pendulum import WIRES, StartValue
 from .pendulum_files import PENDULUM_FMUS
 from .plant_variables import START
 from .results import Result
-from .structure import Component, Signal, System, Wire
+from .structure import Component, Signal, SystemStructure, Wire
 from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, Variables, WireSection
 
@@ -348,7 +348,7 @@ def _beside_or_here(file: str, folder: FilePath | None) -> Path:
 
 def build_system(
     scenario: Scenario, fmus: FilePath, folder: FilePath | None = None, controller: FilePath | None = None
-) -> System:
+) -> SystemStructure:
     """Return the system that `scenario` means, with the FMUs of the folder `fmus`, or beside the scenario in `folder`.
 
     `controller` is the file of a controller FMU that the user named, in the place of the scenario's. What the scenario
@@ -424,7 +424,7 @@ class _Plan:
                 f"this plant has not, found {seed}"
             )
 
-    def system(self) -> System:
+    def system(self) -> SystemStructure:
         wires = self.wires()
         started = {name: self._start(name) for name in self.paths}
         signals = self.signals()
@@ -433,7 +433,7 @@ class _Plan:
         names = self._sequence(wires)
         parts = self.scenario.parts
         components = tuple(Component(n, self.paths[n], started[n], parts[n].interface) for n in names)
-        system = System(components=components, wires=wires, signals=signals)
+        system = SystemStructure(components=components, wires=wires, signals=signals)
         if not self.scenario.controller.other_model:
             _check_model(system)
         return system
@@ -566,7 +566,7 @@ def controller_values(scenario: Scenario, fmus: FilePath, folder: FilePath | Non
     return {} if path is None else _own_values(path)
 
 
-def _check_model(system: System) -> None:
+def _check_model(system: SystemStructure) -> None:
     """Raise UserError where the controller was designed for another model than the plant's, see `model_match`.
 
     Before that where a wire joins other units.
@@ -583,7 +583,7 @@ def _check_model(system: System) -> None:
         raise UserError(f"{problem}; controller.other_model = true runs it all the same")
 
 
-def _check_sample_time(system: System, step: float) -> None:
+def _check_sample_time(system: SystemStructure, step: float) -> None:
     """Raise UserError where one of our controllers cannot sample in communication steps of `step` [s]."""
     for component in system.components:
         if component.name == CONTROLLER:
@@ -596,7 +596,7 @@ def _check_sample_time(system: System, step: float) -> None:
                     raise UserError(f"run.step does not fit the controller: {error}") from None
 
 
-def _loose_controls(system: System) -> list[str]:
+def _loose_controls(system: SystemStructure) -> list[str]:
     """Return a sentence for each control of one of our controllers that is wired to nothing, though there is a plant."""
     from .fmu import describe  # noqa: PLC0415
 
@@ -614,7 +614,7 @@ def _loose_controls(system: System) -> list[str]:
     return [f"the control {name} acts on nothing: no wire leads from it" for name in loose]
 
 
-def remarks(system: System, scenario: Scenario) -> list[str]:
+def remarks(system: SystemStructure, scenario: Scenario) -> list[str]:
     """Return what is to be known of a scenario's system before it runs, a sentence each.
 
     Of its controller on its plant, although they fit, see `model_match`, unless it may be of another model; of controls
@@ -644,7 +644,7 @@ def with_tolerances(scenario: Scenario, fmus: FilePath, folder: FilePath | None 
     return scenario.changed({"evaluate.tolerances": found})
 
 
-def rest_remarks(result: Result, system: System) -> list[str]:
+def rest_remarks(result: Result, system: SystemStructure) -> list[str]:
     """Return in a sentence that nothing moved in a run of `system`, and how something would; nothing where it did.
 
     Nothing moves where no judged signal changes and none is beside its set-point, but for rounding.

@@ -35,7 +35,7 @@ from .errors import UserError
 from .fmu import Value, describe, start_values_of
 from .integration import INTERFACES, interface_of
 from .names import is_plain
-from .structure import System
+from .structure import SystemStructure
 from .unit_definitions import conversion, scale_of
 from .wiring import CONTROLLER, PLANT
 
@@ -111,9 +111,9 @@ class _Reader:
 
     def data(self) -> dict[str, Any]:
         """Return a scenario's data."""
-        system = self.root.find(f"{{{SSD}}}System")
+        system = self.root.find(f"{{{SSD}}}SystemStructure")
         if self.root.tag != f"{{{SSD}}}SystemStructureDescription" or system is None:
-            raise UserError(f"{DESCRIPTION} must be a SystemStructureDescription of SSP 1.0 with a System")
+            raise UserError(f"{DESCRIPTION} must be a SystemStructureDescription of SSP 1.0 with a SystemStructure")
         elements = list(system.iterfind(f"{{{SSD}}}Elements/*"))
         for element in elements:
             if element.tag != f"{{{SSD}}}Component":
@@ -305,7 +305,7 @@ def _value(name: str, parameter: ET.Element) -> Value:
     )
 
 
-def write(path: FilePath, name: str, system: System, duration: float, step: float) -> Path:
+def write(path: FilePath, name: str, system: SystemStructure, duration: float, step: float) -> Path:
     """Write a system as an SSP file: FMUs, wires with their conversions, start values, the run's duration; return `path`.
 
     Signals have no place in it: their inputs keep their start values. Raises UserError as `write_ssp`.

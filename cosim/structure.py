@@ -115,7 +115,7 @@ class Signal:
 
 
 @dataclass(frozen=True)
-class System:
+class SystemStructure:
     """A system of FMUs.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .metrics import Metrics, Quantity
+from .metrics import MetricMeaning, Metrics
 
 
 def metric_rows(metrics: Metrics) -> list[tuple[str, str]]:
@@ -26,6 +26,6 @@ def side_by_side(metrics: Sequence[Metrics]) -> list[list[str]]:
     ]
 
 
-def mark(q: Quantity, steady: bool, value: float) -> str:
+def mark(q: MetricMeaning, steady: bool, value: float) -> str:
     """Return the mark of a number that is said of a steady state where there is none."""
     return "" if steady or not q.of_window or math.isnan(value) else "*"

@@ -26,10 +26,10 @@ from ihc_fmu.pendulum.start_values import design_values
 from ihc_fmu.synthesis import Options, inverse_design
 
 from .campaign import Job, Journal, Numbers, run_numbers
-from .draws import Chance, Estimate, chance_of, change, drawn, mean, rms_change, root_mean_square
+from .draws import Chance, MeanEstimate, chance_of, change, drawn, mean, rms_change, root_mean_square
 from .errors import UserError
 from .experiments import UNSTEADY, check_outputs, laws_of
-from .metrics import QUANTITIES, Quantity, evaluate, is_pendulum, kept_upright, quantities_of
+from .metrics import QUANTITIES, MetricMeaning, evaluate, is_pendulum, kept_upright, quantities_of
 from .pendulum import is_controller
 from .plots import OTHERS, literal, save_figure
 from .results import Result
@@ -100,7 +100,7 @@ class Outcome:
     kept: int
     draws: int
     steady: bool = True
-    over_linear: Estimate = field(default_factory=lambda: Estimate(math.nan))
+    over_linear: MeanEstimate = field(default_factory=lambda: MeanEstimate(math.nan))
 
 
 @dataclass(frozen=True)
@@ -112,10 +112,10 @@ class Tuning:
     stops: tuple[Point, ...]
     linear: Outcome
     designs: Mapping[Family, Design | None]
-    quantities: Mapping[str, Quantity] = field(default_factory=lambda: QUANTITIES)
+    quantities: Mapping[str, MetricMeaning] = field(default_factory=lambda: QUANTITIES)
 
     @property
-    def chattering(self) -> Quantity | None:
+    def chattering(self) -> MetricMeaning | None:
         """The metric of chattering; None where the system has none for all its controls."""
         return chattering_of(self.quantities)
 
@@ -125,14 +125,14 @@ class Tuning:
         return min((self.outcomes[point] for point in self.stops), key=lambda o: (o.measure, -o.point.a_min))
 
 
-def chattering_of(quantities: Mapping[str, Quantity]) -> Quantity | None:
+def chattering_of(quantities: Mapping[str, MetricMeaning]) -> MetricMeaning | None:
     """Return the one metric of chattering; None where there is none, or one for each of several units."""
     found = [q for q in quantities.values() if q.role == "variation"]
     return found[0] if len(found) == 1 else None
 
 
 @dataclass(frozen=True)
-class Problem:
+class TuningProblem:
     """What is tuned in: scenario, its folder, the FMUs, the linear controller's design, measure, limit, draws.
 
     `design` is the pendulum's; None: that in the controller FMU, whose mu and scale of P stay. `measure` None: the integral
@@ -169,7 +169,7 @@ class Problem:
             raise UserError(f"tuning decides controller.start.{fixed[0]} by its design; give the design with --design")
 
     @cached_property
-    def quantities(self) -> Mapping[str, Quantity]:
+    def quantities(self) -> Mapping[str, MetricMeaning]:
         """The system's metrics by name."""
         if self.design is not None:
             return QUANTITIES
@@ -232,7 +232,7 @@ def _design_start(design: Design) -> dict[str, Value]:
 
 
 def tune(
-    problem: Problem,
+    problem: TuningProblem,
     grid: Grid,
     journal: Journal,
     workers: int | None = None,
@@ -295,7 +295,7 @@ def numbers(result: Result) -> dict[str, float]:
     }
 
 
-def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: Problem) -> Outcome:
+def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: TuningProblem) -> Outcome:
     """Return the outcome of a point from the numbers of its draws and the LC's of the same draws."""
     q = problem.quantities[problem.measure or ""]
     kept = [draw for draw in draws if draw.get("kept")]
@@ -314,7 +314,7 @@ def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], 
     return Outcome(point, math.inf if never else measure, chattering, len(kept), len(draws), steady, over)
 
 
-def _number(draw: Numbers, q: Quantity) -> float:
+def _number(draw: Numbers, q: MetricMeaning) -> float:
     value = draw[q.name]
     return draw["duration"] if math.isnan(value) and q.never else value
 
@@ -329,7 +329,7 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
     return here
 
 
-def save(tuning: Tuning, problem: Problem, folder: FilePath) -> list[Path]:
+def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
     FMUs and tables that lie beside the tuned scenario are copied beside the new one. Without a design of its own the

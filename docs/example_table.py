@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from cosim.draws import change_text, estimate_text
-from cosim.experiments import Comparison, Study, compare
+from cosim.experiments import Comparison, Experiment, run_experiments
 from cosim.scenario import Scenario, load_scenario
 from cosim.system_export import export_system, exported_files
 from ihc_fmu.design import Design
@@ -71,7 +71,7 @@ def nonlinear(example: Example, design: Design, folder: Path) -> Comparison:
         [sys.executable, "-m", "pythonfmu", "build", *options], cwd=EXAMPLES, check=True, capture_output=True
     )
     export_system(design, folder)
-    return compare([Study(example.scenario, folder)], folder, LAWS)[0]
+    return run_experiments([Experiment(example.scenario, folder)], folder, LAWS)[0]
 
 
 def counted(example: Example, design: Design, folder: Path) -> Comparison:
@@ -88,7 +88,7 @@ def counted(example: Example, design: Design, folder: Path) -> Comparison:
     export_system(replace(design, system=system), folder)
     plant, controller, _ = exported_files(system)
     scenario = example.scenario.changed({"plant.fmu": plant, "controller.fmu": controller})
-    return compare([Study(scenario, folder, DRAWS)], folder, LAWS)[0]
+    return run_experiments([Experiment(scenario, folder, DRAWS)], folder, LAWS)[0]
 
 
 def ideal_row(found: Comparison) -> list[str]:

@@ -21,7 +21,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from cosim.cli import app
-from cosim.draws import Estimate, change_text, estimate_text
+from cosim.draws import MeanEstimate, change_text, estimate_text
 from cosim.hil.faults import KINDS
 from cosim.inputs import KINDS as KINDS_OF_SIGNALS
 from cosim.metrics import QUANTITIES
@@ -178,8 +178,8 @@ def comparison(name: str, about: dict[str, Any]) -> str:
     headings = [f"`{name}`: {chain}{drawn}", *(QUANTITIES[c].heading for c in COLUMNS)]
     lines = [f"| {' | '.join(map(_plain, headings))} |", "|---" * len(headings) + "|"]
 
-    def estimate(pair: list[float | None]) -> Estimate:
-        return Estimate(*(math.nan if value is None else value for value in pair))
+    def estimate(pair: list[float | None]) -> MeanEstimate:
+        return MeanEstimate(*(math.nan if value is None else value for value in pair))
 
     for law, found in about["laws"].items():
         mark = "" if found["steady"] else "*"

@@ -53,7 +53,7 @@ def compare(
 
     Given results of `run` or `hil` instead, show them side by side.
     """
-    from ..experiments import LAW, LAWS, Study, check_names, laws_of
+    from ..experiments import LAW, LAWS, Experiment, check_names, laws_of
     from ..scenario import build_system, load_located, remarks
 
     if laws is not None and vary is not None:
@@ -77,7 +77,7 @@ def compare(
     compared = [chosen] if values is None else [chosen.changed({entry: value}) for value in values.values()]
     say_notes(dict.fromkeys(note for one in compared for note in remarks(build_system(one, fmus, folder), one)))
     check_folder(output / chosen.name, names)
-    run_and_write([Study(chosen, folder, draws, entry, values)], fmus, output, names, workers)
+    run_and_write([Experiment(chosen, folder, draws, entry, values)], fmus, output, names, workers)
 
 
 def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
@@ -107,9 +107,11 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
     console.print(f"pictures in {escaped(folder)}")
 
 
-def run_and_write(studies: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None) -> None:
-    """Compare the laws in each study; print what comes out, write it to folders named after the scenarios."""
-    from ..experiments import compare as run_comparison
+def run_and_write(
+    experiments: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None
+) -> None:
+    """Compare the laws in each experiment; print what comes out, write it to folders named after the scenarios."""
+    from ..experiments import run_experiments
     from ..plots import save_comparison
     from ..scenario import build_system, rest_remarks
 
@@ -117,17 +119,17 @@ def run_and_write(studies: list[Any], fmus: Path, output: Path, laws: list[str],
     try:
         with progress() as bar:
             task = bar.add_task("co-simulation", total=None)
-            comparisons = run_comparison(
-                studies, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
+            comparisons = run_experiments(
+                experiments, fmus, laws, workers, lambda done, total: bar.update(task, completed=done, total=total)
             )
-        for study, comparison in zip(studies, comparisons, strict=True):
+        for experiment, comparison in zip(experiments, comparisons, strict=True):
             folder = output / comparison.scenario.name
             title = comparison.scenario.description or comparison.scenario.name
             comparison.save(folder, partial(save_comparison, comparison.results, title=title))
             written.append(comparison.scenario.name)
             print_comparison(comparison)
             first = next(iter(comparison.results.values()))
-            say_notes(rest_remarks(first, build_system(comparison.scenario, fmus, study.folder)))
+            say_notes(rest_remarks(first, build_system(comparison.scenario, fmus, experiment.folder)))
             console.print(f"results and pictures in {escaped(folder)}\n")
     except KeyboardInterrupt:
         kept = f"whole: {', '.join(written)}" if written else "nothing was kept"

@@ -25,7 +25,7 @@ def demo(
     """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare."""
     from ihc_fmu.pendulum.start_values import default_design
 
-    from ..experiments import LAWS, Study
+    from ..experiments import LAWS, Experiment
     from ..scenario import load_scenario
 
     check_replaceable(output / "design.json", *(fmus / name for name in EXPORTED))
@@ -44,8 +44,8 @@ def demo(
     console.print(
         "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
     )
-    studies = []
+    experiments = []
     for name, draws in DEMO.items():
         chosen, folder = load_scenario(name)
-        studies.append(Study(chosen, folder, draws))
-    run_and_write(studies, fmus, output, list(LAWS))
+        experiments.append(Experiment(chosen, folder, draws))
+    run_and_write(experiments, fmus, output, list(LAWS))

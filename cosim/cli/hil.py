@@ -19,7 +19,7 @@ from .options import FAILED, SCENARIO_HELP, ControllerOption, FmusOption, SetOpt
 
 if TYPE_CHECKING:
     from ..hil.device import Device
-    from ..hil.loop import Report
+    from ..hil.loop import HardwareRun
     from ..hil.settings import Settings
     from ..results import Result
     from ..scenario import Scenario
@@ -220,7 +220,7 @@ def _run(
         raise typer.Exit(FAILED)
 
 
-def _print_report(report: Report, path: Path) -> None:
+def _print_report(report: HardwareRun, path: Path) -> None:
     from ..metrics import can_evaluate
     from ..plots import save_overview
 

@@ -61,7 +61,7 @@ def tune(
     from ..campaign import Journal
     from ..pendulum import is_controller
     from ..scenario import build_system, controller_values, load_located, remarks, with_tolerances
-    from ..tuning import PURPOSE, WRITTEN_FILES, Grid, Problem, save
+    from ..tuning import PURPOSE, WRITTEN_FILES, Grid, TuningProblem, save
     from ..tuning import tune as run_tuning
 
     chosen, folder, fmus = load_located(scenario, fmus)
@@ -76,7 +76,7 @@ def tune(
         found = default_design()
     if found is None and (u_max is not None or mu is not None):
         raise UserError("--u-max and --mu are for the pendulum's controller; another keeps those of its design")
-    problem = Problem(chosen, folder, fmus, found, measure, limit, draws)
+    problem = TuningProblem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
     say_notes(remarks(build_system(chosen, fmus, folder), chosen))

@@ -15,7 +15,7 @@ from ..structure import Component, Signal
 from . import checks, driven
 from .device import LED_IDLE, Device, DeviceError
 from .log import percentiles
-from .loop import READ_TIMEOUT, Controller, stop_signals
+from .loop import READ_TIMEOUT, ControllerFmu, stop_signals
 from .quanser import QuanserDevice, sdk
 from .realtime import undisturbed
 from .settings import Settings, Stopped
@@ -67,7 +67,7 @@ def diagnose(
 
 
 def _controller(component: Component, settings: Settings, signals: Sequence[Signal]) -> Finding:
-    controller = Controller(component, settings.period, driven.names_of([s.target for s in signals]))
+    controller = ControllerFmu(component, settings.period, driven.names_of([s.target for s in signals]))
     samples = round(settings.duration * settings.rate)
     values = driven.values_of(signals, settings.period, samples)
     driven.check(values, controller.instance, settings.limits, settings.period)

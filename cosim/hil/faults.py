@@ -30,7 +30,7 @@ COUNTS = ("arm-jump", "pendulum-jump", "late")
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class InjectedFault:
     """Something that goes wrong from `time` [s] of the device's clock for `duration` [s]; 0 is one sample."""
 
     kind: str
@@ -39,12 +39,12 @@ class Fault:
     duration: float
 
 
-def parse(script: str) -> tuple[Fault, ...]:
+def parse(script: str) -> tuple[InjectedFault, ...]:
     """Return the faults of a script; raise UserError that names the part, the rule and what was found."""
     return tuple(_one(part.strip()) for part in script.split(",") if part.strip())
 
 
-def _one(part: str) -> Fault:
+def _one(part: str) -> InjectedFault:
     kind, at, rest = part.partition("@")
     if kind not in KINDS:
         raise UserError(f"there is no fault {kind!r}, but {', '.join(KINDS)}{did_you_mean(kind, KINDS)}")
@@ -52,7 +52,7 @@ def _one(part: str) -> Fault:
     given, has_duration, length = rest.partition(":")
     time, has_value, text = given.partition("=")
     try:
-        fault = Fault(
+        fault = InjectedFault(
             kind,
             float(time),
             float(text) if has_value else math.nan if value is None else value,

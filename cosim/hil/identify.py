@@ -92,7 +92,7 @@ WIDE = 10.0
 
 
 @dataclass(frozen=True)
-class Estimate:
+class FittedValue:
     """A fitted value with its 95 % interval, in its unit, and whether the log tells it at all."""
 
     value: float
@@ -114,8 +114,8 @@ class Identification:
     """
 
     parameters: ParameterSet
-    estimates: dict[str, Estimate]
-    bias: Estimate
+    estimates: dict[str, FittedValue]
+    bias: FittedValue
     rms_before: float
     rms_after: float
     segments: int
@@ -448,7 +448,7 @@ class _Problem:
         by_bias = self.jacobian(self.at_start)[:, -1]
         return self.rms(r - by_bias * (by_bias @ r) / (by_bias @ by_bias))
 
-    def estimates(self, z: Array) -> list[Estimate]:
+    def estimates(self, z: Array) -> list[FittedValue]:
         """Return the estimates at the solution z: of the parameters and of b."""
         J = self.jacobian(z).reshape(*self.seen.shape, len(z))
         half, known = _half_widths(J, self.r)
@@ -457,7 +457,7 @@ class _Problem:
             least = -np.inf if lowest == -np.inf else 0.0
             low, high = max(value - width, least), value + width
             identifiable = bool(told and high - low <= WIDE * max(abs(value), 1.0))
-            found.append(Estimate(float(value * scale), float(low * scale), float(high * scale), identifiable))
+            found.append(FittedValue(float(value * scale), float(low * scale), float(high * scale), identifiable))
         return found
 
     def disturbance(self, z: Array) -> tuple[float, float]:

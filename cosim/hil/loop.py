@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from ihc_fmu.pendulum.supervisor import Mode
+
 from ..errors import UserError
 from ..fmu import RECORDED, FmuError, Instance
 from ..interrupts import second_ends
@@ -41,12 +43,16 @@ MOST_CAUGHT_UP = 10
 MEASURED = ("theta", "delta")
 """The controller's inputs that are measured [rad]."""
 
-LEDS = {1: LED_IDLE, 2: LED_SWING_UP, STABILIZING: LED_BALANCE}
+LEDS: Mapping[int, tuple[float, float, float]] = {
+    Mode.IDLE: LED_IDLE,
+    Mode.SWING_UP: LED_SWING_UP,
+    Mode.STABILIZING: LED_BALANCE,
+}
 """The device's light by the controller's mode."""
 
 
 @dataclass(frozen=True)
-class Report:
+class HardwareRun:
     """How a run ended: `reason` in words, `stop` its kind, `failures` what failed while stopping, the log, the signal."""
 
     reason: str
@@ -68,7 +74,7 @@ def stop_signals() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-class Controller:
+class ControllerFmu:
     """The controller FMU with its buffers: what the loop calls, and nothing else in between.
 
     `inputs` are those that signals drive besides the measured ones; `follow` gives their values. Raises UserError for an
@@ -253,7 +259,7 @@ class Loop:
         `signals` act on inputs of the controller. Raises UserError for values of theirs that may not be.
         """
         self.device, self.settings, self.say = device, settings, say
-        self.controller = Controller(component, settings.period, driven.names_of([s.target for s in signals]))
+        self.controller = ControllerFmu(component, settings.period, driven.names_of([s.target for s in signals]))
         self.steps = round(settings.duration * settings.rate)
         self.about = {
             "versions": dict(versions()),
@@ -295,8 +301,8 @@ class Loop:
         self._stopping = threading.Lock()
         self._stopped = False
 
-    def run(self) -> Report:
-        """Run to the end, stop the device, and return what came of it; the log's file stays until `Report.result` is safe.
+    def run(self) -> HardwareRun:
+        """Run to the end, stop the device, and return what came of it; the log's file stays until the result is safe.
 
         Raises UnavailableError or DeviceError where the device cannot be opened, and UserError where the controller cannot
         be started; whatever happens later is the report's reason.
@@ -321,7 +327,7 @@ class Loop:
                 failures += self.device.close()
                 self.controller.close()
         number = received[0] if kind == "signal" else 0
-        report = Report(reason, kind, tuple(failures), self._result(reason, kind, failures), number)
+        report = HardwareRun(reason, kind, tuple(failures), self._result(reason, kind, failures), number)
         if surprise is not None:
             raise surprise
         return report

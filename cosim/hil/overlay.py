@@ -19,7 +19,7 @@ from ..parameter_files import chosen
 from ..provenance import provenance
 from ..results import Result
 from ..scenario import WIRES
-from ..structure import Component, Signal, System
+from ..structure import Component, Signal, SystemStructure
 from .identify import Beginning, beginning
 from .replay import driven_inputs, driven_values
 from .scaling import RESOLUTION
@@ -93,7 +93,7 @@ def resimulate(
     signals = [_logged(measured, name, step) for name in driven_inputs(about)]
     duration = round(float(measured.time[-1]) / step) * step
     metadata = {"overlay": {"parameters": parameters, "bias": found.bias}, **_judged(result)}
-    system = System(components, WIRES["encoders"], signals)
+    system = SystemStructure(components, WIRES["encoders"], signals)
     simulated = simulate(system, step, duration, metadata=metadata, progress=progress)
     return Overlay(measured, simulated, found)
 

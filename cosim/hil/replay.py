@@ -14,7 +14,7 @@ from ..provenance import Provenance, provenance
 from ..results import Result, SimulationError
 from ..structure import Component
 from .driven import names_of
-from .loop import Controller
+from .loop import ControllerFmu
 
 MEASURED = ("plant.theta_encoder", "plant.delta_encoder")
 
@@ -89,7 +89,7 @@ def replay(result: Result, fmu: Path) -> Replay:
     if len(result.time) < LEAST_ROWS:
         raise UserError(f"a replay needs at least {LEAST_ROWS} rows, the log has {len(result.time)}")
     theta, delta = (result[name] for name in MEASURED)
-    controller = Controller(Component("controller", fmu, start), about.step, driven_inputs(about))
+    controller = ControllerFmu(Component("controller", fmu, start), about.step, driven_inputs(about))
     controller.follow({name: driven_values(result, name).tolist() for name in controller.inputs})
     names = (*controller.layout.reals, *controller.layout.integers)
     logged = [result[f"controller.{name}"].tolist() for name in names]

@@ -36,7 +36,7 @@ class Settings:
 
 
 class Stopped(Exception):  # noqa: N818 - not an error where the user asked for it
-    """The run ends here; `kind` as in Report.stop."""
+    """The run ends here; `kind` as in HardwareRun.stop."""
 
     def __init__(self, reason: str, kind: Ending = "fault") -> None:
         super().__init__(reason)

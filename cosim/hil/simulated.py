@@ -31,7 +31,7 @@ from .device import (
     LinkLostError,
     Sample,
 )
-from .faults import Fault
+from .faults import InjectedFault
 from .scaling import COUNTS_PER_TURN, RESOLUTION, counts_of, hardware_voltage
 
 HOLD = 0.02
@@ -60,7 +60,7 @@ class Board:
     UserError for a plant whose encoders are not the device's, and FmuError where the plant fails.
     """
 
-    def __init__(self, plant: Component, faults: Sequence[Fault] = ()) -> None:
+    def __init__(self, plant: Component, faults: Sequence[InjectedFault] = ()) -> None:
         self.plant = opened("plant", Path(plant.path), plant.interface)
         for names, causality in ((_INPUTS, "input"), (_OUTPUTS, "output")):
             for name, unit in names.items():
@@ -214,10 +214,10 @@ class Board:
     def _note(self, what: str) -> None:
         self.record.append(Event(self.time, what, self._at_motor))
 
-    def _is_active(self, fault: Fault) -> bool:
+    def _is_active(self, fault: InjectedFault) -> bool:
         return fault.time - 0.5 * self.period <= self.time < fault.time + max(fault.duration, 0.5 * self.period)
 
-    def _begins(self, fault: Fault) -> bool:
+    def _begins(self, fault: InjectedFault) -> bool:
         return abs(self.time - fault.time) < 0.5 * self.period
 
     def _active(self, kind: str) -> bool:

@@ -113,7 +113,7 @@ class Claim:
         return f"{self.low:.4g} to {self.high:.4g}{unit}"
 
 
-def compare(found: Found, keys: Iterable[Key], better: str, other: str, name: str) -> Share:
+def share_of_wins(found: Found, keys: Iterable[Key], better: str, other: str, name: str) -> Share:
     """Return in which share of the draws among `keys` the controller `better` has the smaller number `name`.
 
     A controller that lost the pendulum loses the draw; draws that both lost, or in which neither has the number, are left
@@ -167,7 +167,7 @@ class Judge:
 
     def share(self, better: str, other: str, name: str, gain: float = 0, experiment: str = "swing-up") -> Share:
         """Return the share of draws in the reference's set and sample time."""
-        return compare(self.found, self.cells.get((experiment, *REFERENCE, gain), []), better, other, name)
+        return share_of_wins(self.found, self.cells.get((experiment, *REFERENCE, gain), []), better, other, name)
 
     def claims(self) -> list[Claim]:
         """Return the claims about the figures and tables."""
@@ -183,7 +183,7 @@ class Judge:
         section = "Table I" if gain == 0 else f"Table II, G = {gain:g}"
         values = printed.LMSE[int(gain)]
         found = []
-        for law, variants in LAWS.items():
+        for law, variants in VARIANTS_OF_LAW.items():
             for variant in variants:
                 width = LMSE_TOLERANCE * values[law]
                 found.append(
@@ -200,8 +200,8 @@ class Judge:
                     )
                 )
         for a, b in (("IHC", "LC"), ("IHC", "SMC"), ("SMC", "LC")):
-            for one in LAWS[a]:
-                for two in LAWS[b]:
+            for one in VARIANTS_OF_LAW[a]:
+                for two in VARIANTS_OF_LAW[b]:
                     found += self._pair(section, gain, one, two, margin(values[a], values[b]))
         return found
 
@@ -233,7 +233,7 @@ class Judge:
     def _energy(self) -> list[Claim]:
         found = []
         for law, said in printed.ENERGY_OVER.items():
-            for other in LAWS[law]:
+            for other in VARIANTS_OF_LAW[law]:
                 low, high = tolerance(100 * said)
                 ours = margin(self.value("IHC", "energy"), self.value(other, "energy"))
                 runs = (self.key("IHC"), self.key(other))
@@ -304,7 +304,7 @@ class Judge:
         section = "Table II, growth"
         first, last = GAINS[1], GAINS[-1]
         found = []
-        for law, variants in LAWS.items():
+        for law, variants in VARIANTS_OF_LAW.items():
             for variant in variants:
                 said = margin(printed.LMSE[last][law], printed.LMSE[first][law])
                 ours = margin(*(self.value(variant, "integral_q2", gain) for gain in (last, first)))
@@ -365,7 +365,7 @@ def _ratio(a_last: float, a_first: float, b_last: float, b_first: float) -> floa
     return (a_last - a_first) / (b_last - b_first)
 
 
-LAWS = {"LC": ("LC",), "IHC": ("IHC",), "SMC": ("SMC1", "SMC2")}
+VARIANTS_OF_LAW = {"LC": ("LC",), "IHC": ("IHC",), "SMC": ("SMC1", "SMC2")}
 """The paper's laws, and the controllers that stand for them."""
 
 

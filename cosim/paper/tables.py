@@ -16,7 +16,7 @@ from filing.origin import WRITTEN
 
 from ..metrics import QUANTITIES
 from . import printed
-from .claims import LAWS, Claim, Found, Judge, Share, Theory, by_cell, compare, margin
+from .claims import VARIANTS_OF_LAW, Claim, Found, Judge, Share, Theory, by_cell, margin, share_of_wins
 from .figures import sweep_median, sweep_runs, swing_up_pairs
 from .gains import poles_text
 from .readings import Reading
@@ -133,7 +133,7 @@ def lmse_table(judge: Judge, gains: Sequence[int], name: str, title: str) -> Tab
     )
     rows = []
     for gain in gains:
-        for law, variants in LAWS.items():
+        for law, variants in VARIANTS_OF_LAW.items():
             for variant in variants:
                 said, lc = printed.LMSE[gain][law], printed.LMSE[gain]["LC"]
                 ours = judge.value(variant, "integral_q2", gain)
@@ -183,7 +183,7 @@ def energy_table(judge: Judge) -> Table:
     )
     rows = []
     for gain in GAINS:
-        for law, variants in LAWS.items():
+        for law, variants in VARIANTS_OF_LAW.items():
             for variant in variants:
                 said = None if gain or law == "IHC" else 100 * printed.ENERGY_OVER[law]
                 energy, after = (judge.value(variant, name, gain) for name in ("energy", "energy_after_capture"))
@@ -239,7 +239,7 @@ def shares_table(found: Found) -> Table:
             if other == "IHC":
                 continue
             for name, measure in RANKINGS:
-                share = compare(found, keys, "IHC", other, name)
+                share = share_of_wins(found, keys, "IHC", other, name)
                 upright = [sum(bool(found[k].get("kept")) for k in keys if k.variant == v) for v in ("IHC", other)]
                 low, high = share.interval
                 rows.append(
@@ -303,7 +303,7 @@ def onset_table(found: Found, judge: Judge) -> Table:
     )
     rows = []
     for gain in GAINS[2:]:
-        for law, variants in LAWS.items():
+        for law, variants in VARIANTS_OF_LAW.items():
             for variant in variants:
                 keys = [k for k in found if k.experiment == "onset" and k.gain == gain and k.variant == variant]
                 kept = [found[k]["integral_q2"] for k in keys if found[k].get("kept")]
@@ -443,5 +443,5 @@ def ranking_names(found: Found) -> list[tuple[str, Share]]:
     shares = []
     for (experiment, parameters, step, gain), keys in ranking_cells(found).items():
         name = f"{experiment}, {parameters}, {step * 1e3:g} ms, G = {gain:g}"
-        shares.append((name, compare(found, keys, "IHC", "LC", "integral_q2")))
+        shares.append((name, share_of_wins(found, keys, "IHC", "LC", "integral_q2")))
     return shares

@@ -42,7 +42,7 @@ DIRECT = "direct"
 """In place of a gain of integral action: choose one."""
 PENDULUM = "rotary_pendulum"
 """Name of the systems whose controller is the pendulum's, with swing-up."""
-LAWS = ("u = K x", "u = -K x")
+GAIN_CONVENTIONS = ("u = K x", "u = -K x")
 """How a gain may be meant."""
 
 
@@ -683,10 +683,10 @@ def meant(K: ArrayLike | None, law: str | None) -> Array | None:
     if K is None:
         return None
     if law == "u = +K x":
-        law = LAWS[0]
-    if law not in LAWS:
-        raise UserError(f"law must say how K is meant, {' or '.join(map(repr, LAWS))}, found {law!r}")
-    return np.asarray(K, dtype=float) if law == LAWS[0] else -np.asarray(K, dtype=float)
+        law = GAIN_CONVENTIONS[0]
+    if law not in GAIN_CONVENTIONS:
+        raise UserError(f"law must say how K is meant, {' or '.join(map(repr, GAIN_CONVENTIONS))}, found {law!r}")
+    return np.asarray(K, dtype=float) if law == GAIN_CONVENTIONS[0] else -np.asarray(K, dtype=float)
 
 
 def _in_files(name: str) -> str:

@@ -11,7 +11,7 @@ import pytest
 
 from cosim.draws import drawn
 from cosim.errors import UserError
-from cosim.experiments import Comparison, Draw, Study, compare
+from cosim.experiments import Comparison, Draw, Experiment, run_experiments
 from cosim.master import SimulationError
 from cosim.metrics import QUANTITIES, Metrics, evaluate
 from cosim.results import Result
@@ -21,23 +21,25 @@ FILTER = {"controller.start.velocity_source": "filter"}
 
 
 @pytest.fixture(scope="session")
-def study():
+def experiment():
     scenario, folder = load_scenario("tilt")
-    return Study(scenario.changed({"run.duration": 0.3, "plant.start.noise_std": 1e-4}), folder, 2)
+    return Experiment(scenario.changed({"run.duration": 0.3, "plant.start.noise_std": 1e-4}), folder, 2)
 
 
 @pytest.fixture(scope="session")
-def compared(study, fmus):
+def compared(experiment, fmus):
     """Two laws, two draws, two threads; and what the progress said."""
     seen = []
-    (comparison,) = compare([study], fmus, ("LC", "IHC"), 2, lambda *counts: seen.append(counts))
+    (comparison,) = run_experiments([experiment], fmus, ("LC", "IHC"), 2, lambda *counts: seen.append(counts))
     return comparison, seen
 
 
 @pytest.fixture(scope="session")
-def single_runs(study, fmus):
+def single_runs(experiment, fmus):
     def run(law, number):
-        return run_scenario(drawn(study.scenario, number).changed({"controller.start.law": law}), fmus, study.folder)
+        return run_scenario(
+            drawn(experiment.scenario, number).changed({"controller.start.law": law}), fmus, experiment.folder
+        )
 
     return {(law, number): run(law, number) for law in ("LC", "IHC") for number in (1, 2)}
 
@@ -65,24 +67,24 @@ def test_all_laws_see_the_same_measurement(compared):
     assert laws == [1, 3]
 
 
-def test_without_draws_a_scenario_runs_once_as_it_stands(study, fmus, same):
-    (comparison,) = compare([Study(study.scenario, study.folder)], fmus, ("SMC",), 1)
+def test_without_draws_a_scenario_runs_once_as_it_stands(experiment, fmus, same):
+    (comparison,) = run_experiments([Experiment(experiment.scenario, experiment.folder)], fmus, ("SMC",), 1)
     assert [(d.law, d.number) for d in comparison.draws] == [("SMC", None)]
-    alone = run_scenario(study.scenario.changed({"controller.start.law": "SMC"}), fmus, study.folder)
+    alone = run_scenario(experiment.scenario.changed({"controller.start.law": "SMC"}), fmus, experiment.folder)
     same(comparison.results["SMC"], alone)
 
 
-def test_metrics_are_of_every_row_whatever_the_scenario_records(study, fmus, compared):
-    thinned = Study(study.scenario.changed({"record.every": 7}), study.folder, 1)
-    (comparison,) = compare([thinned], fmus, ("LC",), 1)
+def test_metrics_are_of_every_row_whatever_the_scenario_records(experiment, fmus, compared):
+    thinned = Experiment(experiment.scenario.changed({"record.every": 7}), experiment.folder, 1)
+    (comparison,) = run_experiments([thinned], fmus, ("LC",), 1)
     assert comparison.draws[0].metrics.energy == compared[0].of_law["LC"][1].metrics.energy
     assert len(comparison.results["LC"].time) < 60
 
 
-def test_what_a_run_refuses_the_comparison_refuses(study, fmus):
-    wrong = Study(study.scenario.changed({"controller.start.a_min": -1.0}), study.folder, 2)
+def test_what_a_run_refuses_the_comparison_refuses(experiment, fmus):
+    wrong = Experiment(experiment.scenario.changed({"controller.start.a_min": -1.0}), experiment.folder, 2)
     with pytest.raises(UserError, match=r"controller\.a_min must lie in"):
-        compare([wrong], fmus, ("LC",), 1)
+        run_experiments([wrong], fmus, ("LC",), 1)
 
 
 def metrics_of(*values):
@@ -238,8 +240,8 @@ def test_with_encoders_and_filter_the_homogeneous_law_rests_closer_to_upright(sw
     assert rest["IHC"] < rest["LC"] < 0.02
 
 
-def test_a_run_that_fails_in_a_worker_fails_the_comparison_with_its_cause(study, fmus):
-    wrong = Study(study.scenario.changed({"plant.start.measurement_delay": 0.0015}), study.folder, 2)
+def test_a_run_that_fails_in_a_worker_fails_the_comparison_with_its_cause(experiment, fmus):
+    wrong = Experiment(experiment.scenario.changed({"plant.start.measurement_delay": 0.0015}), experiment.folder, 2)
     with pytest.raises(SimulationError, match="measurement_delay must be a multiple of the communication") as failure:
-        compare([wrong], fmus, ("LC",), 1)
+        run_experiments([wrong], fmus, ("LC",), 1)
     assert (failure.value.instance, failure.value.time, len(failure.value.result.time)) == ("plant", 0.0, 1)

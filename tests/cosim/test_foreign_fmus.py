@@ -15,11 +15,11 @@ import pytest
 from cosim import master
 from cosim.errors import UserError
 from cosim.fmu import describe
-from cosim.hil.loop import Controller
+from cosim.hil.loop import ControllerFmu
 from cosim.hil.replay import controller_of, replay
 from cosim.master import simulate
 from cosim.results import Result, SimulationError
-from cosim.structure import Component, Signal, System, Wire
+from cosim.structure import Component, Signal, SystemStructure, Wire
 from fmu_export.native_build import build_library, host_platform
 from tests.cosim.hil import rig
 
@@ -167,7 +167,7 @@ def engine(request, monkeypatch):
 
 
 def run(fmu, steps=5, wires=(), signals=(), record=None, **start):
-    return simulate(System([Component("a", fmu, start)], wires, signals), 1e-3, steps * 1e-3, record=record)
+    return simulate(SystemStructure([Component("a", fmu, start)], wires, signals), 1e-3, steps * 1e-3, record=record)
 
 
 @pytest.mark.usefixtures("engine")
@@ -184,13 +184,15 @@ def test_a_name_is_recorded_saved_and_read_whatever_it_is(odd, tmp_path, name):
 
 def test_a_variable_without_a_unit_takes_that_of_its_wire_and_says_so(odd):
     fmu = odd(("y", "Real", "output", "rad"), ("u", "Real", "input", None))
-    result = simulate(System([Component("a", fmu), Component("b", fmu)], [Wire("a.y", "b.u")]), 1e-3, 2e-3)
+    result = simulate(SystemStructure([Component("a", fmu), Component("b", fmu)], [Wire("a.y", "b.u")]), 1e-3, 2e-3)
     assert result.metadata["messages"] == {"b": ["warning: u declares no unit and is taken to be in rad"]}
 
 
 def test_a_dotted_name_can_be_wired_and_driven(odd):
     fmu = odd(("p.u.x", "Real", "input", None), ("q.y", "Real", "output", None))
-    system = System([Component("a", fmu), Component("b", fmu)], [Wire("a.q.y", "b.p.u.x")], [Signal("a.p.u.x", float)])
+    system = SystemStructure(
+        [Component("a", fmu), Component("b", fmu)], [Wire("a.q.y", "b.p.u.x")], [Signal("a.p.u.x", float)]
+    )
     assert len(simulate(system, 1e-3, 2e-3).signals) == 2
 
 
@@ -295,7 +297,7 @@ def test_a_foreign_controllers_outputs_and_driven_inputs_are_logged_each_in_its_
     others = [("flag", "Boolean", "output", None), ("count", "Integer", "output", None)]
     inputs = [("level", "Integer", "input", None), ("rate", "Real", "input", "Hz")]
     component = Component("controller", odd(*ANGLES, *others, *inputs, VOLTAGE, MODE))
-    controller = Controller(component, 1e-3, ["level", "rate"])
+    controller = ControllerFmu(component, 1e-3, ["level", "rate"])
     controller.follow({"level": [7, 8], "rate": [0.5, 2.5]})
     controller.prepare()
     count, mode = (controller.instance.variables[name].valueReference for name in ("count", "mode"))
@@ -388,14 +390,14 @@ from pathlib import Path
 from cosim import campaign, interrupts
 from cosim.hil.loop import Loop
 from cosim.master import simulate
-from cosim.structure import Component, System
+from cosim.structure import Component, SystemStructure
 from cosim.scenario import Scenario
 from tests.cosim.hil import rig
 interrupts.GRACE = 0.2
 what, fmu, fmus, folder = sys.argv[1], *map(Path, sys.argv[2:])
 def go(*_):
     os.write(1, b"begins" + os.linesep.encode())
-    simulate(System([Component("a", fmu, {"hang": 1, "at": 3})]), 1e-3, 1.0)
+    simulate(SystemStructure([Component("a", fmu, {"hang": 1, "at": 3})]), 1e-3, 1.0)
 class Noted(rig.Between):
     def safe_stop(self, reason):
         print("0 V:", reason, self.device.safe_stop(reason), flush=True)

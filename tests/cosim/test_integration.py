@@ -13,7 +13,7 @@ from cosim.integration import MOST_STEPS, TOLERANCE
 from cosim.master import SimulationError, simulate
 from cosim.scenario import build_system, load_scenario
 from cosim.ssp import write
-from cosim.structure import Component, Signal, System, Wire
+from cosim.structure import Component, Signal, SystemStructure, Wire
 from fmu_export.native_build import build_library, host_platform
 
 INTEGRATORS, BALL, CLOCK, STIFF, DISCARDS, NOT_FINITE, SAWTOOTH, ENDS, ENDLESS, FAILS, OSCILLATOR, DRIFTS = range(12)
@@ -221,7 +221,7 @@ def model(library, tmp_path_factory):
 
 
 def run(component, step, duration, *signals, **options):
-    return simulate(System([component], [], signals), step, duration, **options)
+    return simulate(SystemStructure([component], [], signals), step, duration, **options)
 
 
 def test_under_a_held_input_it_is_the_closed_form(model):
@@ -348,7 +348,7 @@ def free_fall(fmus):
 
 
 def fall(plant):
-    return simulate(System([plant], [], [Signal("plant.voltage", lambda t: math.sin(3.0 * t))]), 1e-3, 2.0)
+    return simulate(SystemStructure([plant], [], [Signal("plant.voltage", lambda t: math.sin(3.0 * t))]), 1e-3, 2.0)
 
 
 def test_the_pendulum_falls_as_by_its_own_steps(exchange_only, fmus, free_fall):
@@ -389,5 +389,7 @@ def test_an_ssp_carries_the_interface(exchange_only, tmp_path):
 
 
 def test_wires_join_it_to_others(model, tiny):
-    system = System([tiny("b", gain=0.0), model(INTEGRATORS, v_0=2.0)], [Wire("a.x", "b.u"), Wire("b.y", "a.u")])
+    system = SystemStructure(
+        [tiny("b", gain=0.0), model(INTEGRATORS, v_0=2.0)], [Wire("a.x", "b.u"), Wire("b.y", "a.u")]
+    )
     np.testing.assert_allclose(simulate(system, 0.1, 1.0).signals["a.x"][-1], 2.0, rtol=1e-12)

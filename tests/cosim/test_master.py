@@ -16,7 +16,7 @@ from cosim.errors import UserError
 from cosim.fmu import Instance, describe
 from cosim.master import PROGRESS_EVERY, Interrupted, SimulationError, simulate
 from cosim.scenario import build_system, load_scenario
-from cosim.structure import Component, Signal, System, Wire
+from cosim.structure import Component, Signal, SystemStructure, Wire
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.start_values import controller_start_values
 from ihc_fmu.pendulum.unit import IhcControllerUnit
@@ -75,32 +75,32 @@ def nothing_starts(monkeypatch):
 def test_a_wire_that_cannot_be_is_refused(pair, wire, sentence):
     system = pair()
     with pytest.raises(UserError) as refusal:
-        run(System(system.components, [*system.wires, Wire(*wire)]))
+        run(SystemStructure(system.components, [*system.wires, Wire(*wire)]))
     assert str(refusal.value).startswith(sentence)
 
 
 @pytest.mark.usefixtures("nothing_starts")
 def test_signals_are_checked_as_wires(tiny):
-    wired = System([tiny("a"), tiny("b")], [Wire("a.y", "b.u")], [Signal("b.u", math.sin)])
+    wired = SystemStructure([tiny("a"), tiny("b")], [Wire("a.y", "b.u")], [Signal("b.u", math.sin)])
     with pytest.raises(UserError, match=r"the input b\.u must have one source, found 2"):
         run(wired)
     with pytest.raises(UserError, match=r"a\.y must be an input, found output"):
-        run(System([tiny("a")], signals=[Signal("a.y", math.sin)]))
+        run(SystemStructure([tiny("a")], signals=[Signal("a.y", math.sin)]))
 
 
 @pytest.mark.usefixtures("nothing_starts")
 @pytest.mark.parametrize("names", [("a", "a"), ("a.b", "c"), ("", "a"), ("a b", "c")])
 def test_instance_names_are_unique_identifiers(tiny, names):
     with pytest.raises(UserError, match="instances need unique names"):
-        run(System([tiny(name) for name in names]))
+        run(SystemStructure([tiny(name) for name in names]))
 
 
 @pytest.mark.usefixtures("nothing_starts")
 def test_start_values_are_checked_with_the_instances_name(tiny):
     with pytest.raises(UserError, match="b has no variable named 'gian'; did you mean gain"):
-        run(System([tiny("a"), tiny("b", gian=1.0)]))
+        run(SystemStructure([tiny("a"), tiny("b", gian=1.0)]))
     with pytest.raises(UserError, match=r"b\.fail_at must lie in \[0, inf\]"):
-        run(System([tiny("a"), tiny("b", fail_at=-1)]))
+        run(SystemStructure([tiny("a"), tiny("b", fail_at=-1)]))
 
 
 @pytest.mark.usefixtures("nothing_starts")
@@ -121,7 +121,7 @@ def test_start_values_are_checked_with_the_instances_name(tiny):
 )
 def test_step_and_duration_that_do_not_fit_are_named(tiny, step, duration, named):
     with pytest.raises(UserError) as refusal:
-        simulate(System([tiny()]), step, duration)
+        simulate(SystemStructure([tiny()]), step, duration)
     assert all(text in str(refusal.value) for text in named)
 
 
@@ -138,7 +138,7 @@ def test_step_and_duration_that_do_not_fit_are_named(tiny, step, duration, named
 )
 def test_options_that_cannot_be_are_refused(tiny, options, sentence):
     with pytest.raises(UserError) as refusal:
-        run(System([tiny()]), **options)
+        run(SystemStructure([tiny()]), **options)
     assert str(refusal.value).startswith(sentence)
 
 
@@ -153,7 +153,7 @@ def test_durations_that_are_multiples_but_for_rounding_fit(step):
 
 @pytest.mark.parametrize(("step", "steps"), [(1 / 60, 60_000), (1e-3, 2_000)])
 def test_time_is_the_index_times_the_step(tiny, step, steps):
-    result = simulate(System([tiny()]), step, steps * step, record=["a.time_seen", "a.calls"])
+    result = simulate(SystemStructure([tiny()]), step, steps * step, record=["a.time_seen", "a.calls"])
     assert result.time.tolist() == [k * step for k in range(steps + 1)]
     assert result["a.time_seen"].tolist() == [-1.0, *(k * step for k in range(steps))]
     assert result["a.calls"].tolist() == list(range(steps + 1))
@@ -161,14 +161,14 @@ def test_time_is_the_index_times_the_step(tiny, step, steps):
 
 
 def test_time_may_start_elsewhere(tiny):
-    result = run(System([tiny()]), steps=3, step=0.25, start_time=-0.5)
+    result = run(SystemStructure([tiny()]), steps=3, step=0.25, start_time=-0.5)
     assert result.time.tolist() == [-0.5, -0.25, 0.0, 0.25]
     assert result["a.time_seen"].tolist() == [-1.0, -0.5, -0.25, 0.0]
 
 
 @pytest.mark.parametrize(("every", "rows"), [(1, [*range(11)]), (3, [0, 3, 6, 9, 10]), (5, [0, 5, 10]), (99, [0, 10])])
 def test_decimation_keeps_the_first_and_the_last_row(tiny, every, rows):
-    system = System([tiny()])
+    system = SystemStructure([tiny()])
     result = run(system, steps=10, step=0.1, every=every)
     assert result["a.calls"].tolist() == rows
     assert result.time.tolist() == [k * 0.1 for k in rows]
@@ -177,7 +177,7 @@ def test_decimation_keeps_the_first_and_the_last_row(tiny, every, rows):
 def test_progress_counts_steps_and_ends_at_the_total(tiny, engine):
     seen = []
     steps = 2 * PROGRESS_EVERY + 5
-    run(System([tiny()]), steps=steps, progress=lambda *counts: seen.append(counts))
+    run(SystemStructure([tiny()]), steps=steps, progress=lambda *counts: seen.append(counts))
     done = [PROGRESS_EVERY, 2 * PROGRESS_EVERY, steps] if engine == "fmpy" else sorted({done for done, _ in seen})
     assert seen == [(count, steps) for count in done]
     assert done[-1] == steps
@@ -194,7 +194,9 @@ def test_delay_along_a_chain(tiny, order, names, delay):
     components = [tiny(name, gain=gain) for name, gain in zip("abc", (2.0, 3.0, 5.0), strict=True)]
     listed = sorted(components, key=lambda c: names.index(c.name))
     ramp = Signal("a.u", lambda t: 1.0 + t)
-    result = run(System(listed, [Wire("a.y", "b.u"), Wire("b.y", "c.u")], [ramp]), steps=20, step=0.5, order=order)
+    result = run(
+        SystemStructure(listed, [Wire("a.y", "b.u"), Wire("b.y", "c.u")], [ramp]), steps=20, step=0.5, order=order
+    )
     driven = 1.0 + result.time[:-1]
     assert result["a.y"][1:].tolist() == (2.0 * driven).tolist()
     assert result["c.y"][1 + delay :].tolist() == (30.0 * driven[: len(driven) - delay]).tolist()
@@ -217,7 +219,7 @@ def test_types_and_values_pass_unchanged(tiny):
         Signal("a.u", math.exp),
     ]
     wires = [Wire(f"a.{name}", f"b.{to}") for name, to in (("whole_out", "whole"), ("flag_out", "flag"), ("y", "u"))]
-    result = run(System([tiny("a"), tiny("b")], wires, signals), steps=4, step=0.1)
+    result = run(SystemStructure([tiny("a"), tiny("b")], wires, signals), steps=4, step=0.1)
     assert result["b.whole_out"].tolist() == [0, 0, -1, -2, -3]
     assert result["b.flag_out"].tolist() == [0, 0, 0, 1, 1]
     assert result["b.y"][1:].tolist() == [math.exp(0.1 * k) for k in range(4)]
@@ -232,13 +234,17 @@ def test_types_and_values_pass_unchanged(tiny):
 
 def test_signals_are_evaluated_once_at_the_start_of_each_step(tiny):
     asked = []
-    result = run(System([tiny()], signals=[Signal("a.u", lambda t: asked.append(t) or 3.0 * t)]), steps=4, step=0.25)
+    result = run(
+        SystemStructure([tiny()], signals=[Signal("a.u", lambda t: asked.append(t) or 3.0 * t)]), steps=4, step=0.25
+    )
     assert asked == [0.0, 0.0, 0.25, 0.5, 0.75]  # once more in initialization
     assert result["a.y"].tolist() == [0.0, 0.0, 0.75, 1.5, 2.25]
 
 
 def test_the_first_row_holds_outputs_of_the_initialized_system(tiny, pair):
-    chain = System([tiny("a", gain=2.0), tiny("b", gain=3.0)], [Wire("a.y", "b.u")], [Signal("a.u", lambda t: 7.0)])
+    chain = SystemStructure(
+        [tiny("a", gain=2.0), tiny("b", gain=3.0)], [Wire("a.y", "b.u")], [Signal("a.u", lambda t: 7.0)]
+    )
     assert run(chain, steps=1)["a.y"][0] == 14.0
     result = run(pair(plant__start__delta_0=0.25, plant__start__encoder_counts=0), steps=1)
     assert (result["plant.delta"][0], result["plant.delta_encoder"][0], result["plant.energy"][0] < 0) == (
@@ -375,7 +381,9 @@ def test_units_are_those_of_the_fmus(pair):
 
 
 def test_messages_are_kept_by_instance(tiny):
-    about = run(System([tiny("a", warn_at=2, gain=2.0), tiny("b"), tiny("c", warn_at=1, gain=3.0)]), steps=3).metadata
+    about = run(
+        SystemStructure([tiny("a", warn_at=2, gain=2.0), tiny("b"), tiny("c", warn_at=1, gain=3.0)]), steps=3
+    ).metadata
     assert set(about["messages"]) == {"a", "c"}
     assert ["gain 2" in message for message in about["messages"]["a"]] == [True]
     assert ["gain 3" in message for message in about["messages"]["c"]] == [True]
@@ -386,7 +394,7 @@ def test_messages_are_kept_by_instance(tiny):
 
 @pytest.mark.parametrize("order", ["controller-first", "parallel"])
 def test_a_failing_fmu_leaves_time_instance_cause_and_rows(tiny, order):
-    system = System([tiny("a"), tiny("b", fail_at=8)], [Wire("a.y", "b.u")])
+    system = SystemStructure([tiny("a"), tiny("b", fail_at=8)], [Wire("a.y", "b.u")])
     with pytest.raises(SimulationError, match=r"^at t = 0\.7 s: b: doStep\(.*told to fail in call 8$") as failure:
         run(system, steps=20, step=0.1, order=order)
     error = failure.value
@@ -394,7 +402,7 @@ def test_a_failing_fmu_leaves_time_instance_cause_and_rows(tiny, order):
     assert error.result["b.calls"].tolist() == list(range(8))
     assert error.result.metadata["complete"] is False
     assert any("Traceback" in message for message in error.result.metadata["messages"]["b"])
-    assert run(System([tiny("a"), tiny("b")]), steps=3)["b.calls"].tolist() == [0, 1, 2, 3]
+    assert run(SystemStructure([tiny("a"), tiny("b")]), steps=3)["b.calls"].tolist() == [0, 1, 2, 3]
 
 
 def test_a_step_that_the_controller_cannot_work_with_is_named(pair):
@@ -414,7 +422,7 @@ def test_start_values_that_contradict_each_other_fail_without_rows(pair):
 
 
 def test_a_signal_that_is_not_finite_is_named_with_its_time(tiny):
-    system = System([tiny()], signals=[Signal("a.u", lambda t: math.nan if t > 0.25 else t)])
+    system = SystemStructure([tiny()], signals=[Signal("a.u", lambda t: math.nan if t > 0.25 else t)])
     with pytest.raises(SimulationError, match=r"at t = 0\.3 s: a: .*u must be finite, found nan") as failure:
         run(system, steps=20, step=0.1)
     assert len(failure.value.result.time) == 4
@@ -429,7 +437,7 @@ def test_an_interrupt_leaves_the_rows(tiny):
             raise KeyboardInterrupt
 
     with pytest.raises(Interrupted) as stopped:
-        run(System([tiny()]), steps=50_000, progress=interrupt)
+        run(SystemStructure([tiny()]), steps=50_000, progress=interrupt)
     assert isinstance(stopped.value, KeyboardInterrupt)
     assert stopped.value.result["a.calls"].tolist() == list(range(seen[-1] + 1))
     assert stopped.value.result.metadata["complete"] is False
@@ -437,8 +445,8 @@ def test_an_interrupt_leaves_the_rows(tiny):
 
 def test_an_error_of_a_signal_is_passed_on_and_the_instances_are_freed(tiny):
     with pytest.raises(ZeroDivisionError):
-        run(System([tiny()], signals=[Signal("a.u", lambda t: 1.0 / (t - 0.002))]))
-    assert run(System([tiny()]), steps=2)["a.calls"].tolist() == [0, 1, 2]
+        run(SystemStructure([tiny()], signals=[Signal("a.u", lambda t: 1.0 / (t - 0.002))]))
+    assert run(SystemStructure([tiny()]), steps=2)["a.calls"].tolist() == [0, 1, 2]
 
 
 # Many systems in one process
@@ -457,7 +465,7 @@ def test_two_systems_side_by_side_do_not_interact(pair):
     alone = {key: run(system, steps=300) for key, system in systems.items()}
     components = [Component(c.name + key, c.path, c.start) for key, s in systems.items() for c in s.components]
     wires = [Wire(_numbered(w.source, key), _numbered(w.target, key)) for key, s in systems.items() for w in s.wires]
-    together = run(System(components, wires), steps=300)
+    together = run(SystemStructure(components, wires), steps=300)
     for key, result in alone.items():
         for name, signal in result.signals.items():
             assert together[_numbered(name, key)].tolist() == signal.tolist(), name
@@ -481,10 +489,10 @@ def test_instances_are_freed_with_the_run_also_with_one_that_is_interrupted(tiny
         if done < total:
             raise KeyboardInterrupt
 
-    run(System([tiny("a"), tiny("b")]), steps=2, progress=look)
+    run(SystemStructure([tiny("a"), tiny("b")]), steps=2, progress=look)
     assert (seen, living_slaves()) == ([2], before)
     with pytest.raises(Interrupted):
-        run(System([tiny("a"), tiny("b")]), steps=50_000, progress=look)
+        run(SystemStructure([tiny("a"), tiny("b")]), steps=50_000, progress=look)
     assert (seen, living_slaves()) == ([2, 2], before)
 
 
@@ -494,11 +502,11 @@ def open_files():
 
 def test_many_runs_leave_nothing_behind(pair, tiny):
     run(pair(), steps=1)
-    run(System([tiny()]), steps=1)
+    run(SystemStructure([tiny()]), steps=1)
     path, files = list(sys.path), open_files()
     for _ in range(50):
         run(pair(), steps=1)
     for _ in range(150):
-        run(System([tiny()]), steps=1)
+        run(SystemStructure([tiny()]), steps=1)
     assert sys.path == path
     assert open_files() == files

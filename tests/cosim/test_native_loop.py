@@ -15,7 +15,7 @@ from cosim.build import LOOP, loop_files
 from cosim.errors import UserError
 from cosim.master import ORDERS, Interrupted, SimulationError, simulate
 from cosim.native_loop import SECONDS_PER_CALL, SIGNAL_STEPS
-from cosim.structure import Signal, System, Wire
+from cosim.structure import Signal, SystemStructure, Wire
 from fmu_export.native_build import PLATFORMS, BuildError, build_library
 
 
@@ -76,7 +76,7 @@ def test_chains_of_any_number_of_fmus_and_types_are_the_same(both, tiny, order):
     wires = [Wire(f"{a}.y", f"{b}.u") for a, b in itertools.pairwise(names)]
     wires += [Wire("a.whole_out", "c.whole"), Wire("a.calls", "d.whole"), Wire("b.flag_out", "a.flag")]
     signals = [Signal("a.u", lambda t: math.sin(20 * t))]
-    result = both(System([tiny(name, gain=2.0) for name in names], wires, signals), 0.01, 1.0, order=order)
+    result = both(SystemStructure([tiny(name, gain=2.0) for name in names], wires, signals), 0.01, 1.0, order=order)
     delay = 0 if order == "controller-first" else 4
     np.testing.assert_array_equal(result["e.y"][1 + delay :], 2.0**4 * result["a.y"][1 : 101 - delay])
 
@@ -88,13 +88,13 @@ def test_signals_go_on_beyond_what_is_evaluated_ahead(both, pair):
         Signal("plant.disturbance_voltage", lambda t: 1e-3 * t),
         Signal("plant.pendulum_torque", lambda t: -1e-6 * t),
     ]
-    both(System(system.components, system.wires, ramp), 1e-3, steps * 1e-3, every=100)
+    both(SystemStructure(system.components, system.wires, ramp), 1e-3, steps * 1e-3, every=100)
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("instance", "call"), [("a", 1), ("b", 3), ("c", 77)])
 def test_failures_are_the_same(tiny, order, instance, call):
-    system = System(
+    system = SystemStructure(
         [tiny(name, fail_at=call if name == instance else 0) for name in "abc"],
         [Wire("a.y", "b.u"), Wire("b.y", "c.u")],
     )
@@ -169,8 +169,8 @@ def test_runs_in_threads_are_those_in_turn(pair, same):
 
 
 def test_python_fmus_are_stepped_from_python_unless_asked(tiny, pair):
-    assert simulate(System([tiny()]), 0.1, 1.0).metadata["engine"] == "fmpy"
-    assert simulate(System([tiny()]), 0.1, 1.0, engine="native").metadata["engine"] == "native"
+    assert simulate(SystemStructure([tiny()]), 0.1, 1.0).metadata["engine"] == "fmpy"
+    assert simulate(SystemStructure([tiny()]), 0.1, 1.0, engine="native").metadata["engine"] == "native"
     assert simulate(pair(), 1e-3, 0.1).metadata["engine"] == "native"
 
 

@@ -12,7 +12,7 @@ from cosim.master import simulate
 from cosim.overlay import lay
 from cosim.results import Result
 from cosim.scenario import build_system, load_scenario, run_scenario
-from cosim.structure import Component, System
+from cosim.structure import Component, SystemStructure
 from cosim.system_export import export_system, exported_files
 from cosim.system_file import write
 from ihc_fmu.design import Design
@@ -39,7 +39,7 @@ def test_paths_may_be_texts(tmp_path, monkeypatch):
     assert Result.load("results/cart.csv").time.tolist() == result.time.tolist()
     assert lay("results/cart.csv", scenario, "fz").left_out == ()
     ssp.write("again.ssp", "cart", build_system(scenario, "fz"), 1.0, 1e-3)
-    alone = System([Component("plant", "fz/cart_linear_plant.fmu")])
+    alone = SystemStructure([Component("plant", "fz/cart_linear_plant.fmu")])
     assert len(simulate(alone, 0.1, 1.0, folder="results").time) == 11
     parameter_files.save("set.toml", PARAMETER_SETS["ident"])
     assert parameter_files.load("set.toml").parameters == PARAMETER_SETS["ident"].parameters

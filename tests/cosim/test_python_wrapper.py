@@ -50,11 +50,11 @@ HOST = """
 import gc, sys
 from pathlib import Path
 from cosim.master import simulate
-from cosim.structure import Component, System
+from cosim.structure import Component, SystemStructure
 
 for path in sys.argv[1:]:
     for _ in range(3):
-        result = simulate(System([Component("a", Path(path)), Component("b", Path(path))]), 0.5, 1.0)
+        result = simulate(SystemStructure([Component("a", Path(path)), Component("b", Path(path))]), 0.5, 1.0)
         gc.collect()
         print(result["b.time"].tolist())
 """

@@ -13,7 +13,7 @@ from scipy.linalg import expm, solve_continuous_are
 
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
-from cosim.experiments import Study, compare, laws_of
+from cosim.experiments import Experiment, laws_of, run_experiments
 from cosim.fmu import start_values_of
 from cosim.metrics import evaluate, quantities_of
 from cosim.overlay import compared, lay
@@ -626,7 +626,7 @@ def test_laws_are_those_of_the_controller(units, scenario, fmus):
 
 def test_a_comparison_of_two_units_needs_no_combined_norm(units, scenario):
     chosen, folder = scenario(CART_SCENARIO)
-    (found,) = compare([Study(chosen, folder, 4)], units, ("LC", "IHC"))
+    (found,) = run_experiments([Experiment(chosen, folder, 4)], units, ("LC", "IHC"))
     assert found.count == 1
     assert found.value("IHC", "integral_e2[plant.speed]").value > 0.0
     assert math.isnan(found.change("IHC", "LC", "steady_rms[plant.position]").value) or found.steady("LC")
@@ -707,7 +707,7 @@ def test_sensors_that_count_are_drawn(carts):
     folder, _ = carts
     chosen, where = load_scenario(str(folder / "carts.toml"))
     counted = chosen.changed({"plant.start.x1_resolution": 1e-3, "run.duration": 0.5})
-    (found,) = compare([Study(counted, where, 3)], folder, ("LC",))
+    (found,) = run_experiments([Experiment(counted, where, 3)], folder, ("LC",))
     assert (found.count, found.chance.offsets) == (3, ("x1_resolution_offset",))
     assert len({draw.metrics.integral_e2 for draw in found.draws}) == 3
     seeded = [run_scenario(counted.changed({"run.seed": seed}), folder, where)["plant.x1"][0] for seed in (1, 1, 2)]

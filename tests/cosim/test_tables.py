@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from cosim.draws import Estimate, change_text, estimate_text
+from cosim.draws import MeanEstimate, change_text, estimate_text
 from cosim.experiments import Comparison, Draw
 from cosim.metrics import QUANTITIES, Metrics
 from cosim.results import Result
@@ -33,7 +33,7 @@ def cells(html):
     ],
 )
 def test_a_mean_has_the_digits_that_its_interval_leaves(value, half, text):
-    assert estimate_text(Estimate(value, half), QUANTITIES["settling_time"].text) == text
+    assert estimate_text(MeanEstimate(value, half), QUANTITIES["settling_time"].text) == text
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_a_mean_has_the_digits_that_its_interval_leaves(value, half, text):
     ],
 )
 def test_a_change_is_called_better_only_where_its_interval_decides(value, half, text):
-    assert change_text(Estimate(value, half)) == text
+    assert change_text(MeanEstimate(value, half)) == text
 
 
 def test_a_design_is_a_table_in_a_notebook():

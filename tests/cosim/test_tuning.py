@@ -29,8 +29,8 @@ from cosim.tuning import (
     Grid,
     Outcome,
     Point,
-    Problem,
     Tuning,
+    TuningProblem,
     _outcome,
     _walk,
     numbers,
@@ -179,7 +179,7 @@ def test_the_grid_without_values_starts_at_the_linear_controller_in_even_steps()
 )
 def test_a_problem_that_means_nothing_is_refused_in_a_sentence(fmus, design, values, sentence):
     with pytest.raises(UserError, match=f"^{re.escape(sentence)}$"):
-        Problem(*load_scenario("tilt"), fmus, design, **values)
+        TuningProblem(*load_scenario("tilt"), fmus, design, **values)
 
 
 # From the linear controller on
@@ -192,7 +192,7 @@ def tilt(fmus, design):
     def make(changes=None, **options):
         scenario, folder = load_scenario("tilt")
         scenario = scenario.changed({"run.duration": 1.0, "plant.start.noise_std": 1e-4, **(changes or {})})
-        return Problem(scenario, folder, fmus, design, **{"draws": 2, **options})
+        return TuningProblem(scenario, folder, fmus, design, **{"draws": 2, **options})
 
     return make
 
@@ -255,7 +255,7 @@ def undrawn(monkeypatch):
 def test_at_a_min_and_b_max_1_every_mu_and_scale_is_the_linear_controller_to_the_last_bit(fmus, design, name):
     scenario, folder = load_scenario(name)
     scenario = scenario.changed({"run.duration": 2.0, "plant.start.noise_std": 1e-4})
-    problem = Problem(scenario, folder, fmus, design)
+    problem = TuningProblem(scenario, folder, fmus, design)
     linear = run_scenario(scenario.changed({"controller.start.law": "LC"}), fmus, folder)
     assert (linear["controller.mode"] == 3).any()
     for family in FAMILIES:
@@ -484,14 +484,14 @@ def test_start_values_that_the_design_decides_are_refused(tilt, name):
 
 def test_a_design_that_cannot_be_rescaled_is_refused(fmus, design):
     with pytest.raises(UserError, match="psi and d_max"):
-        Problem(*load_scenario("tilt"), fmus, dataclasses.replace(design, psi=1e-9))
+        TuningProblem(*load_scenario("tilt"), fmus, dataclasses.replace(design, psi=1e-9))
 
 
 def test_the_best_scenario_finds_the_fmus_that_the_tuned_one_found(fmus, design, tmp_path, undrawn):
     mine = tmp_path / "mine"
     shutil.copytree(fmus, mine)
     (mine / "mine.toml").write_text("[run]\nduration = 0.1\n[plant.start]\ndelta_0 = 0.1\n", encoding="utf-8")
-    problem = Problem(*load_scenario(str(mine / "mine.toml")), tmp_path / "nowhere", design, draws=1)
+    problem = TuningProblem(*load_scenario(str(mine / "mine.toml")), tmp_path / "nowhere", design, draws=1)
     with Journal(tmp_path / "runs.sqlite", PURPOSE) as journal:
         tuning = tune(problem, SMALL, journal, 1)
     save(tuning, problem, tmp_path / "out")
@@ -542,7 +542,7 @@ def test_the_command_writes_prints_and_repeats_itself_to_the_byte(elsewhere, sai
     assert len(journal_rows(folder / "runs.sqlite")) == 4 * len(rows)
 
     scenario, beside = load_scenario("tilt")
-    problem = Problem(scenario.changed({"run.duration": 0.5}), beside, fmus, design, draws=4)
+    problem = TuningProblem(scenario.changed({"run.duration": 0.5}), beside, fmus, design, draws=4)
     with Journal(elsewhere / "other.sqlite", PURPOSE) as journal:
         tuning = tune(problem, Grid((1.0, 0.8, 0.6, 0.4), (1.0, 1.5), (3.0,), (1.0,)), journal, 2)
     save(tuning, problem, elsewhere / "other")

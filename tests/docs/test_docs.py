@@ -10,7 +10,7 @@ import pytest
 import typer.main
 
 from cosim.cli import app
-from cosim.experiments import Study, compare
+from cosim.experiments import Experiment, run_experiments
 from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, load_scenario
 from ihc_fmu.pendulum.start_values import default_design
@@ -75,7 +75,7 @@ def test_comparisons_on_the_pages_have_the_form_that_make_tables_gives_them(name
 def test_the_readme_says_what_the_laws_do_without_sensors(tmp_path):
     export_units(default_design(), output=tmp_path)
     scenario, folder = load_scenario("tilt_ideal")
-    (found,) = compare([Study(scenario, folder)], tmp_path)
+    (found,) = run_experiments([Experiment(scenario, folder)], tmp_path)
     tables = load_make_tables()
     rows = tables.comparison("tilt_ideal", found.about()).splitlines()[2:5]
     page = (ROOT / "README.md").read_text(encoding="utf-8")

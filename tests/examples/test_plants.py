@@ -276,7 +276,7 @@ def test_the_fmu_is_valid_has_units_and_steps_as_the_class_does(name, plant_of, 
     for quantity, (_, unit, _) in (plant.states | plant.inputs | plant.parameters).items():
         assert units[quantity] == unit
     start = {f"{state}_0": value for state, value in zip(plant.states, TILTED[name], strict=True)}
-    result = simulate(structure.System([structure.Component("plant", path, start)]), 0.01, 0.02)
+    result = simulate(structure.SystemStructure([structure.Component("plant", path, start)]), 0.01, 0.02)
     x, held = TILTED[name], [quantity[0] for quantity in plant.inputs.values()]
     for row in zip(*(result[f"plant.{state}"] for state in plant.states), strict=True):
         assert row == pytest.approx(x, abs=1e-13)

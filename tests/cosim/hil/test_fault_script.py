@@ -5,7 +5,7 @@ import math
 import pytest
 
 from cosim.errors import UserError
-from cosim.hil.faults import KINDS, Fault, parse
+from cosim.hil.faults import KINDS, InjectedFault, parse
 from tests.cosim.hil.rig import one_sentence
 
 
@@ -14,20 +14,20 @@ from tests.cosim.hil.rig import one_sentence
     [
         ("", ()),
         (" , ,", ()),
-        ("arm-jump@3=500", (Fault("arm-jump", 3.0, 500.0, 0.0),)),
-        ("arm-jump@3=-500:0.01", (Fault("arm-jump", 3.0, -500.0, 0.01),)),
-        ("push@5=0.01", (Fault("push", 5.0, 0.01, 0.05),)),
-        ("push@5=0.01:0.2", (Fault("push", 5.0, 0.01, 0.2),)),
-        ("silent@2", (Fault("silent", 2.0, 1.0, math.inf),)),
-        ("stall@2=1:0.5", (Fault("stall", 2.0, 1.0, 0.5),)),
-        ("late@1e-1=4", (Fault("late", 0.1, 4.0, 0.0),)),
-        ("read-error@0", (Fault("read-error", 0.0, 1.0, 0.0),)),
+        ("arm-jump@3=500", (InjectedFault("arm-jump", 3.0, 500.0, 0.0),)),
+        ("arm-jump@3=-500:0.01", (InjectedFault("arm-jump", 3.0, -500.0, 0.01),)),
+        ("push@5=0.01", (InjectedFault("push", 5.0, 0.01, 0.05),)),
+        ("push@5=0.01:0.2", (InjectedFault("push", 5.0, 0.01, 0.2),)),
+        ("silent@2", (InjectedFault("silent", 2.0, 1.0, math.inf),)),
+        ("stall@2=1:0.5", (InjectedFault("stall", 2.0, 1.0, 0.5),)),
+        ("late@1e-1=4", (InjectedFault("late", 0.1, 4.0, 0.0),)),
+        ("read-error@0", (InjectedFault("read-error", 0.0, 1.0, 0.0),)),
         (
             "stall@1, amplifier-fault@2 ,current@3=0.6:4",
             (
-                Fault("stall", 1.0, 1.0, math.inf),
-                Fault("amplifier-fault", 2.0, 1.0, math.inf),
-                Fault("current", 3.0, 0.6, 4.0),
+                InjectedFault("stall", 1.0, 1.0, math.inf),
+                InjectedFault("amplifier-fault", 2.0, 1.0, math.inf),
+                InjectedFault("current", 3.0, 0.6, 4.0),
             ),
         ),
     ],
@@ -44,7 +44,7 @@ def test_a_current_may_be_no_number():
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_can_be_written(kind):
     (fault,) = parse(f"{kind}@1.5=2:0.25")
-    assert fault == Fault(kind, 1.5, 2.0, 0.25)
+    assert fault == InjectedFault(kind, 1.5, 2.0, 0.25)
     if KINDS[kind][0] is not None:
         assert parse(f"{kind}@1.5")[0].value == KINDS[kind][0]
         assert parse(f"{kind}@1.5")[0].duration == KINDS[kind][1]

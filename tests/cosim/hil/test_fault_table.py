@@ -19,7 +19,7 @@ from cosim.fmu import FmuError
 from cosim.hil.faults import parse
 from cosim.hil.guards import Limits
 from cosim.hil.log import rows_of
-from cosim.hil.loop import Controller, Loop
+from cosim.hil.loop import ControllerFmu, Loop
 from cosim.hil.quanser import WATCHDOG, QuanserDevice
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, Board, SimulatedDevice
@@ -220,7 +220,7 @@ def test_second_signal_during_the_stop(bench, run):
 
 def fails_at(monkeypatch, call, action):
     """Replace the controller's command at its n-th call of the run, whose rehearsal comes before."""
-    command, count, prepare = Controller.command, [0], Controller.prepare
+    command, count, prepare = ControllerFmu.command, [0], ControllerFmu.prepare
 
     def replaced(self, theta, delta, number):
         count[0] += 1
@@ -230,8 +230,8 @@ def fails_at(monkeypatch, call, action):
         prepare(self)
         count[0] = 0
 
-    monkeypatch.setattr(Controller, "command", replaced)
-    monkeypatch.setattr(Controller, "prepare", prepared)
+    monkeypatch.setattr(ControllerFmu, "command", replaced)
+    monkeypatch.setattr(ControllerFmu, "prepare", prepared)
 
 
 def raiser(error):
@@ -265,7 +265,7 @@ def test_controller_that_gives_up(bench, run, monkeypatch):
     b = bench()
     given_up = []
     calls(b.device, T, lambda: given_up.append(True))
-    monkeypatch.setattr(Controller, "faulted", lambda self, mode: bool(given_up))
+    monkeypatch.setattr(ControllerFmu, "faulted", lambda self, mode: bool(given_up))
     report = run(b)
     assert report.stop == "fault"
     assert "the controller has given up" in report.reason
@@ -435,7 +435,7 @@ def test_stall_limits_the_voltage(bench, run, monkeypatch):
         sign[0] = -sign[0]
         return 8.0 * sign[0]
 
-    monkeypatch.setattr(Controller, "command", command)
+    monkeypatch.setattr(ControllerFmu, "command", command)
     b = bench({"digital_inputs": ((on_board(T), 1, 1), (on_board(T + 50), 1, 0))}, f"stall{at(T)}=1:0.0495")
     report = run(b)
     assert report.stop == "complete"

@@ -12,7 +12,7 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.hil.device import DeviceError, LinkLostError, UnavailableError
-from cosim.hil.loop import MOST_CAUGHT_UP, Controller, Loop, stop_signals, timing
+from cosim.hil.loop import MOST_CAUGHT_UP, ControllerFmu, Loop, stop_signals, timing
 from cosim.hil.replay import replay
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, SimulatedDevice
@@ -604,7 +604,7 @@ def test_missed_samples_are_given_to_the_controller_afterwards(fmus, tmp_path, l
 
 
 def test_missed_samples_lie_on_the_line_between_two_measurements(fmus):
-    controller = Controller(parts(fmus)[0], 1e-3)
+    controller = ControllerFmu(parts(fmus)[0], 1e-3)
     given = []
     controller.command = lambda theta, delta, number: given.append((theta, delta, number)) or 0.0
     assert controller.catch_up((0.0, -3.0, 7), 0.4, -2.6, 4) == 3

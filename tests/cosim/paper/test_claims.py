@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import binom, norm
 
 from cosim.paper import printed
-from cosim.paper.claims import LAWS, Claim, Judge, Share, Theory, compare, margin, tolerance
+from cosim.paper.claims import VARIANTS_OF_LAW, Claim, Judge, Share, Theory, margin, share_of_wins, tolerance
 from cosim.paper.gains import K_LIN, GainReading, NormReading, gain_readings, norm_readings
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key
 from cosim.scenario import load_scenario
@@ -138,7 +138,7 @@ def lost(value):
 )
 def test_a_draw_is_won_by_the_smaller_number_of_a_pendulum_that_stayed_up(a, b, wins, draws):
     found = cell(only=(a, b))
-    assert compare(found, list(found), "A", "B", "cost") == Share(wins, draws)
+    assert share_of_wins(found, list(found), "A", "B", "cost") == Share(wins, draws)
 
 
 def test_draws_are_counted_over_all_keys_of_the_cell_and_only_those():
@@ -151,15 +151,15 @@ def test_draws_are_counted_over_all_keys_of_the_cell_and_only_those():
         sixth=(kept(1.0), kept(4.0)),
     )
     keys = list(found)
-    assert compare(found, keys, "A", "B", "cost") == Share(3, 4)
-    assert compare(found, [key for key in keys if key.draw < 3], "A", "B", "cost") == Share(1, 2)
-    assert compare(found, [], "A", "B", "cost") == Share(0, 0)
+    assert share_of_wins(found, keys, "A", "B", "cost") == Share(3, 4)
+    assert share_of_wins(found, [key for key in keys if key.draw < 3], "A", "B", "cost") == Share(1, 2)
+    assert share_of_wins(found, [], "A", "B", "cost") == Share(0, 0)
 
 
 @given(st.lists(st.tuples(*[st.sampled_from([{}, kept(1.0), kept(2.0), kept(NAN), lost(0.0)])] * 2), max_size=20))
 def test_what_one_loses_the_other_wins(pairs):
     found = cell(**{f"draw {i}": pair for i, pair in enumerate(pairs)})
-    one, two = compare(found, found, "A", "B", "cost"), compare(found, found, "B", "A", "cost")
+    one, two = share_of_wins(found, found, "A", "B", "cost"), share_of_wins(found, found, "B", "A", "cost")
     assert one.draws == two.draws == one.wins + two.wins
 
 
@@ -346,7 +346,7 @@ def test_claims_are_complete(as_printed):
         assert math.isnan(c.low) or c.low <= c.high
     printed_values = [c for c in claims if c.text in {f"LMSE of {variant}" for variant in COMPARED}]
     assert len(printed_values) == len(GAINS) * len(COMPARED)
-    assert [variant for variants in LAWS.values() for variant in variants] == list(COMPARED)
+    assert [variant for variants in VARIANTS_OF_LAW.values() for variant in variants] == list(COMPARED)
     assert {"LMSE of IHC relative to LC", "LMSE of IHC below LC"} <= {c.text for c in claims if c.main}
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.paper import printed
-from cosim.paper.claims import Judge, Share, Theory, compare, margin
+from cosim.paper.claims import Judge, Share, Theory, margin, share_of_wins
 from cosim.paper.figures import sweep_median, swing_up_pairs
 from cosim.paper.gains import gain_readings, norm_readings
 from cosim.paper.readings import Reading
@@ -236,7 +236,7 @@ def test_the_table_of_shares_is_what_comparing_gives(mixed):
         cell = (row["experiment"], row["parameters"], row["step_ms"] / 1e3, row["gain"])
         keys = [key for key in mixed if key[:4] == cell]
         assert keys == cells[cell]
-        share = compare(mixed, keys, "IHC", row["against"], measures[row["measure"]])
+        share = share_of_wins(mixed, keys, "IHC", row["against"], measures[row["measure"]])
         assert (row["wins"], row["draws"], row["verdict"]) == (share.wins, share.draws, share.verdict)
         assert [row["share"], row["low"], row["high"]] == [100 * share.value, *(100 * end for end in share.interval)]
         for column, variant in (("kept_ihc", "IHC"), ("kept_other", row["against"])):
