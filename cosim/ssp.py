@@ -111,9 +111,9 @@ class _Reader:
 
     def data(self) -> dict[str, Any]:
         """Return a scenario's data."""
-        system = self.root.find(f"{{{SSD}}}SystemStructure")
+        system = self.root.find(f"{{{SSD}}}System")
         if self.root.tag != f"{{{SSD}}}SystemStructureDescription" or system is None:
-            raise UserError(f"{DESCRIPTION} must be a SystemStructureDescription of SSP 1.0 with a SystemStructure")
+            raise UserError(f"{DESCRIPTION} must be a SystemStructureDescription of SSP 1.0 with a System")
         elements = list(system.iterfind(f"{{{SSD}}}Elements/*"))
         for element in elements:
             if element.tag != f"{{{SSD}}}Component":
