@@ -18,7 +18,7 @@ from ihc_fmu.sliding_mode import FITTED_KAPPA, FITTED_POLES, FITTED_RHO, sliding
 
 from ..campaign import Job, run_all
 from ..errors import UserError
-from ..fmu import describe
+from ..fmu_files import describe
 from . import printed
 from .claims import margin
 from .gains import A, B
