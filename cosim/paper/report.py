@@ -24,7 +24,7 @@ from plant_fmu.parameters import parameter_set
 
 from ..campaign import Job, Journal, run_all
 from ..errors import UserError
-from ..fmu import describe
+from ..fmu_files import describe
 from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
 from . import figures, printed, tables
