@@ -63,26 +63,18 @@ def start_values(design: Design) -> dict[str, Any]:
     return {v.name: v.start for v in regulator_of(design).exported()[0].variables}
 
 
-def design_file(fmu: Path) -> Path:
-    """Return where a controller FMU of a design has it, unpacked; other FMUs have no such file."""
-    from ihc_fmu.design import DESIGN_FILE  # noqa: PLC0415 - heavy
-
-    from .fmu import describe  # noqa: PLC0415
-
-    return Path(describe(fmu)[0]) / "resources" / DESIGN_FILE
-
-
 def design_of(controller: Component, file: Path | None = None) -> tuple[Design | None, list[str]]:
     """Return the design of a controller as it is started, and what its certificate does not cover, a sentence each.
 
     `file` is the design that its start values are from, where that is not the FMU's own. None where the FMU has none that
     can be read: its design is then not this project's.
     """
-    from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
+    from ihc_fmu.design import DESIGN_FILE, Design  # noqa: PLC0415 - heavy
 
-    from .fmu import start_values_of  # noqa: PLC0415
+    from .fmu_files import start_values_of, unpacked  # noqa: PLC0415
 
-    path = file or design_file(Path(controller.path))
+    fmu = unpacked(controller.path)  # and held as long as it is read
+    path = file or fmu.folder / "resources" / DESIGN_FILE
     own = start_values_of(controller.path)
     if not certified_names(own) or not path.is_file():
         return None, []
