@@ -50,7 +50,7 @@ class StandIn:
 
     def voltages(self):
         """Return (tick, voltage at the motor) of each change."""
-        on, volts, found = 0, 0.0, []
+        on, volts, changes = 0, 0.0, []
         for event in self.stand_in.record:
             if event.what == "AO0":
                 volts = event.values[0]
@@ -58,8 +58,8 @@ class StandIn:
                 on = event.values[0]
             else:
                 continue
-            found.append((round((event.t - FIRST) / PERIOD), on * volts))
-        return found
+            changes.append((round((event.t - FIRST) / PERIOD), on * volts))
+        return changes
 
     def check_off(self):
         """Assert that voltage and amplifier were off when the board was given back."""
@@ -111,8 +111,8 @@ def loop_of(components, tmp_path):
     loops = []
 
     def make(device, duration=END * PERIOD, **settings):
-        chosen = Settings(still=0.0, sign_test=False, real_time=False, duration=duration, **settings)
-        loop = Loop(device, components[0], chosen, tmp_path / f"run{len(loops)}.csv")
+        options = Settings(still=0.0, sign_test=False, real_time=False, duration=duration, **settings)
+        loop = Loop(device, components[0], options, tmp_path / f"run{len(loops)}.csv")
         loops.append(loop)
         return loop
 
@@ -167,9 +167,9 @@ def check_stopped(bench, zero_at):
 def check_log(report, ticks):
     """Assert that the log has each tick up to the event, and how the run ended."""
     assert np.round(report.result.time / PERIOD).tolist() == list(ticks)
-    about = report.result.metadata["hil"]
-    assert (about["reason"], about["stop"]) == (report.reason, report.stop)
-    assert about["failures"] == list(report.failures)
+    told = report.result.metadata["hil"]
+    assert (told["reason"], told["stop"]) == (report.reason, report.stop)
+    assert told["failures"] == list(report.failures)
     assert report.result.metadata["complete"] == (report.stop == "complete")
 
 
@@ -411,9 +411,9 @@ def test_duration_ends_at_0_volts(bench, run):
 def test_single_jump_is_dropped(bench, run, channel):
     b = bench(*jumps(channel, 1))
     report = run(b)
-    about = report.result.metadata["hil"]
-    assert (report.stop, about["dropped"]) == ("complete", 1)
-    assert [*about["warnings"].values()] == [pytest.approx(T * PERIOD)]
+    told = report.result.metadata["hil"]
+    assert (report.stop, told["dropped"]) == ("complete", 1)
+    assert [*told["warnings"].values()] == [pytest.approx(T * PERIOD)]
     assert np.flatnonzero(report.result["hil.steps"] == 0).tolist() == [T, END]  # the last row is not answered
     for name in ("hil.applied_voltage", "controller.voltage"):
         assert report.result[name][T + 1] == report.result[name][T] != report.result[name][T + 2]

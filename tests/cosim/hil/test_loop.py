@@ -40,7 +40,7 @@ def handlers():
     assert {number: signal.getsignal(number) for number in SIGNALS} == before
 
 
-def about(report):
+def told_by(report):
     return report.result.metadata["hil"]
 
 
@@ -132,10 +132,10 @@ def test_a_result_says_what_it_was(fmus, tmp_path):
     assert (metadata["step"], metadata["every"]) == (1e-3, 1)
     assert metadata["fmus"]["controller"]["file"] == "IhcController.fmu"
     assert metadata["start_values"]["controller"]["sample_time"] == 1e-3
-    assert about(report)["device"] == "simulated device"
-    assert about(report)["limits"]["peak_current"] == 2.0
-    assert (about(report)["stop"], about(report)["reason"]) == ("complete", report.reason)
-    assert set(about(report)["timing"]) == {"lateness", "latency", "step_time"}
+    assert told_by(report)["device"] == "simulated device"
+    assert told_by(report)["limits"]["peak_current"] == 2.0
+    assert (told_by(report)["stop"], told_by(report)["reason"]) == ("complete", report.reason)
+    assert set(told_by(report)["timing"]) == {"lateness", "latency", "step_time"}
     report.result.save(tmp_path / "run.csv")
 
 
@@ -346,7 +346,7 @@ def test_collection_and_scheduling_are_as_before(fmus, tmp_path):
     after = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, gc.isenabled(), gc.get_freeze_count()
     assert after == before
     assert not any(enabled for enabled, _ in during)
-    notes = about(report)["environment"]
+    notes = told_by(report)["environment"]
     assert len(notes) == 2
     obtained = notes[0].startswith("real-time scheduling")
     assert {policy for _, policy in during} == {os.SCHED_FIFO if obtained else before[0]}
@@ -354,7 +354,7 @@ def test_collection_and_scheduling_are_as_before(fmus, tmp_path):
 
 
 def test_lockstep_asks_for_no_scheduling(fmus, tmp_path):
-    assert about(run(lockstep(fmus), fmus, tmp_path, 0.01, real_time=True))["environment"] == []
+    assert told_by(run(lockstep(fmus), fmus, tmp_path, 0.01, real_time=True))["environment"] == []
 
 
 def test_collection_that_was_off_stays_off(fmus, tmp_path):
@@ -415,10 +415,10 @@ def test_timing_is_of_the_rows_that_stepped(made_result):
         hil_latency=[5e-6, 7e-6, 0.0],
         hil_step_time=[4e-6, 6e-6, 0.0],
     )
-    found = timing(result)
-    assert found["lateness"]["max"] == 3e-6
-    assert found["latency"]["p50"] == pytest.approx(6e-6)
-    assert found["step_time"]["p50"] == pytest.approx(5e-6)
+    times = timing(result)
+    assert times["lateness"]["max"] == 3e-6
+    assert times["latency"]["p50"] == pytest.approx(6e-6)
+    assert times["step_time"]["p50"] == pytest.approx(5e-6)
 
 
 @pytest.mark.parametrize(("late", "steps"), [(1, 2), (3, 4), (30, 11)])
