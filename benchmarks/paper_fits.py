@@ -18,7 +18,7 @@ import numpy as np
 
 from cosim.campaign import Job, run_all
 from cosim.errors import UserError
-from cosim.fmu import describe
+from cosim.fmu_files import describe
 from cosim.paper import printed
 from cosim.paper.gains import A, B
 from cosim.paper.study import QUICK, REFERENCE, SWING_UP_RANGES, Key, Study, numbers

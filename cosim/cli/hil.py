@@ -275,7 +275,7 @@ def _elsewhere(result: Result) -> str:
 def _judged(component: Component, signals: Sequence[Signal]) -> dict[str, Any]:
     """Return the log's word on what it is judged by, where the controller is to hold the arm at another angle than 0."""
     from ..evaluation import ARM_SET_POINT, pendulum_evaluation
-    from ..fmu import start_values_of
+    from ..fmu_files import start_values_of
     from ..hil.replay import MEASURED
     from ..wiring import CONTROLLER
 

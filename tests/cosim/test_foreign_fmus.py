@@ -14,7 +14,7 @@ import pytest
 
 from cosim import master
 from cosim.errors import UserError
-from cosim.fmu import describe
+from cosim.fmu_files import describe
 from cosim.hil.controller import ControllerFmu
 from cosim.hil.replay import controller_of, replay
 from cosim.master import simulate

@@ -8,7 +8,7 @@ import pytest
 from cosim import parameter_files
 from cosim.campaign import Job, Journal, run_all
 from cosim.errors import UserError
-from cosim.fmu import describe
+from cosim.fmu_files import describe
 from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, build_system, load_scenario, run_scenario
 from plant_fmu.interface import start_values
@@ -148,7 +148,7 @@ def test_the_same_numbers_from_a_file_are_the_same_run(fmus, same, tmp_path):
 def test_an_export_takes_files_for_plant_and_nominal_model(file, design, tmp_path):
     path = str(file())
     plant, controller, _ = export_units(design, path, path, tmp_path / "fmus")
-    starts = {v.name: v.start for u in (plant, controller) for v in describe(u)[1].modelVariables}
+    starts = {v.name: v.start for u in (plant, controller) for v in describe(u).modelVariables}
     assert float(str(starts["T_r"])) == MINE.parameters.T_r
     assert {float(str(starts[name])) for name in ("D_r", "nominal_arm_damping")} == {MINE.parameters.D_r}
     assert starts["back_emf"] == "false"
