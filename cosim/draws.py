@@ -15,7 +15,8 @@ import numpy as np
 
 from ihc_fmu.arrays import QUIET
 
-from .scenario import Scenario, StartValue, offsets
+from .scenario import Scenario, offsets
+from .start_values import StartValue
 
 Array = np.ndarray
 

@@ -21,6 +21,7 @@ from sphinx.util import logging
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
+from notebooks import page  # noqa: E402 - beside this file
 from public_names import listing  # noqa: E402 - beside this file
 
 project = "qube-ihc"
@@ -28,7 +29,8 @@ author = "The qube-ihc developers"
 version = release = importlib.metadata.version("qube-ihc")
 
 root_doc = "docs/index"
-include_patterns = ["docs/*.md", "examples/README.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+include_patterns = ["docs/*.md", "examples/README.md", "examples/notebooks/*.ipynb", "CONTRIBUTING.md", "CHANGELOG.md"]
+source_suffix = {".md": "markdown", ".ipynb": "markdown"}
 exclude_patterns = [".*", "build", "dist", "results", "fmus", "src", "cosim", "tests", "benchmarks"]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 
@@ -79,7 +81,7 @@ html_math_renderer = "mathml"
 LISTS = ("docs/index", "docs/tutorial", "docs/how_to", "docs/explanation", "docs/reference")
 """Pages that list others: the links that begin the items of their lists are the navigation, in that order."""
 
-ITEM = re.compile(r"^- \[[^\n]+?\]\(([^)#\n]+)\.md\)", re.MULTILINE)
+ITEM = re.compile(r"^- \[[^\n]+?\]\(([^)#\n]+)\.(?:md|ipynb)\)", re.MULTILINE)
 
 
 def add_navigation(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -90,12 +92,26 @@ def add_navigation(app: Sphinx, docname: str, source: list[str]) -> None:
         source[0] += f"\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
 
 
+def add_notebook(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Make a page of a notebook, with the outputs that it holds."""
+    if docname.startswith("examples/notebooks/"):
+        source[0] = page(source[0])
+
+
 PUBLIC_NAMES = re.compile(r"^<!-- public names: (\w+) -->$", re.MULTILINE)
 
 
 def add_public_names(app: Sphinx, docname: str, source: list[str]) -> None:
     """Put the names of a package's `__all__`, with signatures and docstrings, where a page has the mark for them."""
     source[0] = PUBLIC_NAMES.sub(lambda mark: listing(mark[1]), source[0])
+
+
+NOT_RUN = re.compile(r"  +# not run: [^\n]+$", re.MULTILINE)
+
+
+def hide_marks(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Leave out the marks of commands that no test runs; they are for the tests and for those who read the source."""
+    source[0] = NOT_RUN.sub("", source[0])
 
 
 def shield_bars(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
@@ -116,8 +132,10 @@ def visit_math(self: Any, node: nodes.math) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add what this file defines."""
+    app.connect("source-read", add_notebook)
     app.connect("source-read", add_navigation)
     app.connect("source-read", add_public_names)
+    app.connect("source-read", hide_marks)
     app.connect("autodoc-process-docstring", shield_bars)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}

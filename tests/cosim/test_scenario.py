@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
 from cosim.experiments import check_outputs
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.inputs import DisturbanceSection, Sine
 from cosim.metrics import evaluate, kept_upright
 from cosim.pendulum_export import export_units

@@ -14,7 +14,7 @@ from scipy.linalg import expm, solve_continuous_are
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
 from cosim.experiments import Experiment, laws_of, run_experiments
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.metrics import evaluate, quantities_of
 from cosim.overlay import compared, lay
 from cosim.results import Result
@@ -319,11 +319,10 @@ def test_what_is_the_pendulums_is_refused_elsewhere(units, scenario):
 def test_the_pendulums_own_wires_are_what_equal_names_give_with_its_encoders(fmus):
     """A controller of another kind on the pendulum gets the counted angles under the angles' names."""
     from cosim import pendulum, wiring
-    from cosim.fmu import describe
+    from cosim.fmu_files import describe
 
     plant, controller = (
-        {v.name: v for v in describe(fmus / f"{name}.fmu")[1].modelVariables}
-        for name in ("QubeServo2", "IhcController")
+        {v.name: v for v in describe(fmus / f"{name}.fmu").modelVariables} for name in ("QubeServo2", "IhcController")
     )
     for measurement in ("encoders", "ideal"):
         seen = pendulum.measured(wiring.outputs(plant), measurement)

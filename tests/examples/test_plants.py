@@ -13,7 +13,7 @@ import sympy as sp
 from fmpy.validation import validate_fmu
 
 from cosim import structure
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.linearize import linear_model
 from cosim.master import simulate
 from cosim.model_match import remarks

@@ -20,9 +20,10 @@ import pytest
 from matplotlib.image import imread
 
 from cosim.paper import figures, report
-from cosim.paper.claims import Claim, Judge
+from cosim.paper.claims import Judge
 from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
+from cosim.paper.verdicts import Claim
 from cosim.pendulum_export import export_units
 from cosim.scenario import load_scenario, run_scenario
 from ihc_fmu.inverse import inverse_design
