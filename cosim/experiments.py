@@ -55,9 +55,9 @@ from .tables import mark
 from .wiring import CONTROLLER
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ihc_fmu.design import Design
+
+    from .plots import Picture
 
 LAW = "controller.start.law"
 """The entry that a comparison varies unless it is told another."""
@@ -139,7 +139,7 @@ class Comparison:
             tables.append((f"{name}: over {base}{drawn}", ["", *others], self.changes()))
         return tables
 
-    def plot(self) -> Figure:
+    def plot(self) -> Picture:
         """Draw what the laws are judged by, over each other, of the typical draw.
 
         Returns

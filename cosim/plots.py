@@ -138,7 +138,7 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
     ]
 
 
-def errors_of(results: Mapping[str, Recording]) -> Figure:
+def errors_of(results: Mapping[str, Recording]) -> Picture:
     """Return what is judged, one curve per entry of `results`, over the whole run and its end."""
     results = {literal(name): _within_range(result) for name, result in results.items()}
     return _errors(results, evaluation_in(next(iter(results.values()))))
@@ -167,7 +167,7 @@ def save_overview(result: Recording, path: FilePath, title: str) -> Path:
     return save_figure(overview(result), path, title)
 
 
-def overview(result: Recording) -> Figure:
+def overview(result: Recording) -> Picture:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     result = _within_range(result)
     evaluation = evaluation_in(result)
@@ -200,7 +200,7 @@ def overview(result: Recording) -> Figure:
     return figure
 
 
-def panels_of(results: Mapping[str, Recording], names: Sequence[str]) -> Figure:
+def panels_of(results: Mapping[str, Recording], names: Sequence[str]) -> Picture:
     """Return one figure with a panel for each of the signals `names`, in it a curve for each of `results`.
 
     Raises UserError for a signal that is not there.
@@ -274,7 +274,7 @@ def _draw_error(
         axis.plot(result.time[shown], point[shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
 
 
-def _errors(results: Mapping[str, Recording], evaluation: Evaluation) -> Figure:
+def _errors(results: Mapping[str, Recording], evaluation: Evaluation) -> Picture:
     """Return what is judged of each result: on the left the whole run, on the right its end, each with its own scale."""
     count, ribbon = len(evaluation.errors), evaluation.mode is not None
     figure = Picture(figsize=(11, 2.9 * count + 1.0), layout="constrained")

@@ -29,9 +29,9 @@ from .recording import Recording
 from .room import check_memory
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from ihc_fmu.design import Design
+
+    from .plots import Picture
 
 FORMAT = "qube-ihc result 2"
 EARLIER_FORMATS = ("qube-ihc result 1",)
@@ -63,7 +63,7 @@ class Result(Recording):
         As of `Recording`.
     """
 
-    def plot(self, *names: str) -> Figure:
+    def plot(self, *names: str) -> Picture:
         """Draw the result.
 
         Parameters

@@ -53,7 +53,7 @@ def on_board(stand_in, hil):
     return run
 
 
-def about(path):
+def metadata_of(path):
     return json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["metadata"]
 
 
@@ -138,7 +138,7 @@ def test_fault_of_the_script_ends_the_run(tmp_path, hil):
     assert "stopped at 0 V: the amplifier reports a fault" in done.stdout
     path = tmp_path / "out" / "run.csv"
     assert Result.load(path).time[-1] == pytest.approx(0.3)  # after 0.5 s of rest
-    assert (about(path)["hil"]["stop"], about(path)["complete"]) == ("fault", False)
+    assert (metadata_of(path)["hil"]["stop"], metadata_of(path)["complete"]) == ("fault", False)
     assert not path.with_suffix(".rows").exists()
 
 
@@ -148,7 +148,7 @@ def test_unplugged_board_ends_the_run(tmp_path, on_board):
     assert "stopped at 0 V" not in done.stdout
     assert "while stopping: setting 0 V: " in done.stdout
     assert "check its USB cable" in done.stdout
-    assert len(about(tmp_path / "out" / "run.csv")["hil"]["failures"]) == 6
+    assert len(metadata_of(tmp_path / "out" / "run.csv")["hil"]["failures"]) == 6
 
 
 def test_stop_that_failed_is_no_success(on_board):
@@ -185,7 +185,7 @@ def test_refusals(tmp_path, hil, args, said):
     "command", [("hil", "--lockstep"), ("hil", "--device", "qube"), ("device", "--once")], ids=" ".join
 )
 @pytest.mark.parametrize(
-    ("entry", "found"),
+    ("entry", "what"),
     [
         (
             '[[signals]]\nkind = "step"\ninput = "plant.pendulum_torque"\nvalue = 0.001',
@@ -195,10 +195,10 @@ def test_refusals(tmp_path, hil, args, said):
     ],
     ids=["signal", "disturbance"],
 )
-def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, found):
+def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, what):
     (tmp_path / "pushed.toml").write_text(entry, encoding="utf-8")
     said = sentence(ended(*command, "--scenario", "pushed.toml", "--fmus", fmus, cwd=tmp_path))
-    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {found}"
+    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {what}"
 
 
 @without_sdk
@@ -265,7 +265,7 @@ def test_interrupt(tmp_path, fmus):
     loop.send_signal(signal.SIGINT)
     done = finished(loop)
     logged = (out / "run.csv").exists()  # not where a stall ended the run in its checks
-    stop = about(out / "run.csv")["hil"]["stop"] if logged else "fault"
+    stop = metadata_of(out / "run.csv")["hil"]["stop"] if logged else "fault"
     assert (done.returncode, stop) in {(130, "signal"), (1, "fault")}, done.stderr
     said = {"signal": "stopped by SIGINT", "fault": "the device cut its voltage by itself"}[stop]
     assert f"stopped at 0 V: {said}" in done.stdout
