@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import lzma
+import os
 import shutil
 import stat
 import struct
+import tempfile
 import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
+from weakref import WeakSet, finalize
 
 from fmu_export.errors import UserError, shown
 
@@ -28,6 +31,37 @@ _DAMAGED = (
     NotImplementedError,  # a way to compress that is not there
     RuntimeError,  # a password
 )
+
+
+_unpacked: WeakSet[UnpackedArchive] = WeakSet()
+
+
+class UnpackedArchive:
+    """A temporary `folder` with what a zip file holds, removed with this object and at the latest when the process ends.
+
+    Raises UserError as `unpack`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.folder = Path(tempfile.mkdtemp(prefix="qube-ihc-"))
+        self.remove = finalize(self, _remove, self.folder, os.getpid())
+        try:
+            unpack(path, self.folder)
+        except BaseException:
+            self.remove()
+            raise
+        _unpacked.add(self)
+
+
+def _remove(folder: Path, owner: int) -> None:
+    if os.getpid() == owner:  # not a process that was forked
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_unpacked() -> None:
+    """Remove the folders of all unpacked archives: for a process that ends without leaving in the usual way."""
+    for archive in list(_unpacked):
+        archive.remove()
 
 
 def unpack(path: Path, folder: Path) -> None:

@@ -26,7 +26,7 @@ from fmu_export.reading import first_bytes, read_bytes
 
 from . import parameter_files
 from .errors import UserError
-from .fmu import describe
+from .fmu_files import describe
 from .interrupts import second_ends
 from .results import Result, SimulationError, versions
 from .scenario import Scenario, files, run_scenario
@@ -202,7 +202,7 @@ class Journal:
         about.update(job.scenario.model_dump_json().encode())
         used = files(job.scenario, fmus, job.folder)
         for fmu in used.fmus.values():
-            about.update(str(describe(fmu)[1].guid).encode())
+            about.update(str(describe(fmu).guid).encode())
         parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
         others = [("design", used.design), ("parameter", parameters), *(("signal", t) for t in used.tables.values())]
         for what, file in others:

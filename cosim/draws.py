@@ -13,9 +13,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from ihc_fmu.system import QUIET
+from ihc_fmu.arrays import QUIET
 
-from .scenario import Scenario, StartValue, offsets
+from .scenario import Scenario, offsets
+from .start_values import StartValue
 
 Array = np.ndarray
 

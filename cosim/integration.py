@@ -21,8 +21,10 @@ from scipy.integrate import DOP853, OdeSolver, Radau
 
 from fmu_export.files import FilePath
 
-from .fmu import DISCARD, FmuError, Instance, Value, describe, status_text
+from .fmu import DISCARD, FmuError, Instance, status_text
+from .fmu_files import describe
 from .model_exchange import ModelInstance
+from .start_values import StartValue
 
 Array = np.ndarray
 
@@ -45,7 +47,7 @@ _EVENT_WIDTH = 4.0 * float(np.finfo(float).eps)
 
 def interface_of(path: FilePath, wanted: Interface | None = None) -> Interface:
     """Return how an FMU is run: as `wanted`; None: for co-simulation where it has that. Raises as `describe`."""
-    return wanted or ("ModelExchange" if describe(path)[1].coSimulation is None else "CoSimulation")
+    return wanted or ("ModelExchange" if describe(path).coSimulation is None else "CoSimulation")
 
 
 def opened(name: str, path: FilePath, interface: Interface | None = None) -> Instance:
@@ -74,7 +76,7 @@ class IntegratedInstance(ModelInstance):
         self._indicators = (ctypes.c_double * indicators)()
         self._asks_after_steps = bool(self.description.modelExchange.needsCompletedIntegratorStep)  # type: ignore[union-attr]
 
-    def start(self, start: Mapping[str, Value], start_time: float, stop_time: float | None) -> None:
+    def start(self, start: Mapping[str, StartValue], start_time: float, stop_time: float | None) -> None:
         """Instantiate and set the start values, up to initialization mode; None: no stop time."""
         self._time, self._stop_time = start_time, math.inf if stop_time is None else stop_time
         super().start(start, start_time, stop_time)

@@ -14,6 +14,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from .archives import remove_unpacked
 from .signals import STOPPING
 
 GRACE = 1.0
@@ -86,11 +87,9 @@ def _watch(reader: socket.socket, over: threading.Event, last: Callable[[], str]
 
 
 def _end(number: int, last: Callable[[], str]) -> None:
-    from .fmu import forget_unpacked  # noqa: PLC0415 - heavy, and loaded where an FMU runs
-
     try:
         done = last()
-        forget_unpacked()
+        remove_unpacked()
         _say("; ".join(text for text in ("ended while an FMU was computing", done) if text))
     finally:
         os._exit(128 + number)

@@ -17,10 +17,12 @@ from fmpy.model_description import ScalarVariable
 from .derivative_checks import NOTABLE_ERROR, check_contradiction, check_smooth, relative
 from .derivatives import EvaluationError, Jacobian, differences, jacobian
 from .errors import UserError
-from .fmu import FmuError, Value, describe
+from .fmu import FmuError
+from .fmu_files import describe
 from .model_exchange import ModelInstance
 from .plant_model import LinearModel, reduced
 from .plant_variables import bound_of, index_of, nominal_of, quantities, real_inputs, real_outputs, start_of
+from .start_values import StartValue
 
 Array = np.ndarray
 
@@ -64,9 +66,9 @@ def outputs_told(J: Array, skew: Array, widths: Array) -> tuple[Array, Array]:
 class Plant(ABC):
     """An FMU as a function of z = (x, u)."""
 
-    def __init__(self, path: Path, names: Taking, start: dict[str, Value]) -> None:
+    def __init__(self, path: Path, names: Taking, start: dict[str, StartValue]) -> None:
         self.path, self.start = path, start
-        self.variables = {v.name: v for v in describe(path)[1].modelVariables}
+        self.variables = {v.name: v for v in describe(path).modelVariables}
         self.states, self.inputs, self.outputs = names.states, names.inputs, names.outputs
         self.n, self.m = len(self.states), len(self.inputs)
         self.names = [v.name for v in (*self.states, *self.inputs)]

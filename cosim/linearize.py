@@ -25,11 +25,12 @@ from fmu_export.files import FilePath
 from .derivative_checks import largest
 from .derivatives import EvaluationError, finite, least_steps, solve
 from .errors import UserError
-from .fmu import Value, describe
+from .fmu_files import describe
 from .interrupts import deferred_interrupt
 from .linear_plants import ModelExchangePlant, Plant
 from .plant_model import LinearModel, finite_model
 from .plant_variables import finite_number, index_of, unit_of
+from .start_values import StartValue
 from .stepped_plants import CoSimulationPlant
 
 Array = np.ndarray
@@ -50,7 +51,7 @@ def linear_model(
     states: Sequence[str] = (),
     at: Mapping[str, float] | None = None,
     free: Sequence[str] = (),
-    start: Mapping[str, Value | str] | None = None,
+    start: Mapping[str, StartValue] | None = None,
     step: float | None = None,
 ) -> LinearModel:
     """Return the linear model of a plant's FMU about an equilibrium.
@@ -112,7 +113,7 @@ def open_plant(
     step: float | None,
 ) -> Plant:
     """Return the plant, for model exchange where the FMU is and no state names its parameter; raises as `linear_model`."""
-    _, description = describe(path)
+    description = describe(path)
     paired = any("=" in name for name in states)
     if description.modelExchange is not None and not paired:
         if step is not None:

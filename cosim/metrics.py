@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
+from ihc_fmu.arrays import QUIET
 from ihc_fmu.pendulum.supervisor import Mode
-from ihc_fmu.system import QUIET
 
 from .errors import UserError
 from .evaluation import (

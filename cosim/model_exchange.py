@@ -10,10 +10,11 @@ from typing import ClassVar, NoReturn
 
 import fmpy.fmi2
 import numpy as np
-from fmpy.model_description import ModelDescription, ScalarVariable
+from fmpy.model_description import ScalarVariable
 
 from .errors import UserError
-from .fmu import FmuError, Instance, Strict, Value, describe
+from .fmu import FmuError, Instance, Strict
+from .start_values import StartValue
 
 Array = np.ndarray
 
@@ -30,11 +31,10 @@ class ModelInstance(Instance):
 
     _library: ClassVar[type[Strict]] = FMU2StrictModel
 
-    def _described(self) -> tuple[str, ModelDescription, str]:
-        folder, description = describe(self.path)
-        if description.modelExchange is None:
+    def _identifier(self) -> str:
+        if self.description.modelExchange is None:
             raise UserError(f"{self.path} must be an FMI 2.0 FMU for model exchange, found one for co-simulation only")
-        return folder, description, description.modelExchange.modelIdentifier or ""
+        return self.description.modelExchange.modelIdentifier or ""
 
     def continuous_states(self) -> list[ScalarVariable]:
         """Return the state variables in the order of ModelStructure's derivatives.
@@ -51,7 +51,7 @@ class ModelInstance(Instance):
             states.append(state)
         return states
 
-    def begin(self, start: Mapping[str, Value]) -> None:
+    def begin(self, start: Mapping[str, StartValue]) -> None:
         """Initialize at t = 0 with start values and enter continuous-time mode."""
         self.start(start, 0.0, None)
         self.run()

@@ -24,12 +24,12 @@ from fmu_export.errors import UserError
 from fmu_export.reading import read_text
 from ihc_fmu.design import DESIGN_FILE, Design
 from ihc_fmu.pendulum.interface import STATES
-from ihc_fmu.system import Quantity
+from ihc_fmu.quantity import Quantity
 from ihc_fmu.system import System as LinearSystem
 
 from . import design_match, pendulum, pendulum_match
 from .design_match import SAME, Expected
-from .fmu import describe, start_values_of
+from .fmu_files import describe, start_values_of, unpacked
 from .pendulum_match import Model
 from .plant_as_wired import COUNTS, TRUE, ComparedWire, Found, Place, Question, found, judged
 from .structure import Component, SystemStructure, Wire
@@ -249,7 +249,8 @@ class _Pair:
             model = pendulum_match.design_model(self.controller_values)
             gain = pendulum_match.k_lin_of(self.controller_values)
             return None if model is None else _of_the_pendulum(*map(_entries, (model.A, model.b, gain)))
-        file = Path(describe(self.controller.path)[0]) / "resources" / DESIGN_FILE
+        fmu = unpacked(self.controller.path)  # and held as long as it is read
+        file = fmu.folder / "resources" / DESIGN_FILE
         if not file.is_file():
             return None
         try:
@@ -271,7 +272,7 @@ class _Pair:
             return None
         return Question(
             path=self.plant.path,
-            content=describe(self.plant.path)[0],
+            content=str(unpacked(self.plant.path).folder),
             start=tuple(sorted(self.plant.start.items())),
             outputs=outputs,
             inputs=inputs,
@@ -304,7 +305,7 @@ class _Pair:
         return tuple(found)
 
     def _description(self, component: str) -> ModelDescription:
-        return describe((self.plant if component == PLANT else self.controller).path)[1]
+        return describe((self.plant if component == PLANT else self.controller).path)
 
     def _unit(self, component: str, name: str) -> str | None:
         """Return the unit of a component's variable; None where nothing says it."""

@@ -13,7 +13,7 @@ from fmu_export.files import FilePath
 
 from .errors import UserError
 from .evaluation import Evaluation, evaluation_in, pendulum_evaluation
-from .fmu import describe
+from .fmu_files import describe
 from .inputs import read_columns
 from .master import Coupling
 from .metrics import missing_signals, wrapped
@@ -157,4 +157,4 @@ def other_files(result: Result, scenario: Scenario, fmus: Path, folder: Path) ->
     used = provenance(result).fmus
     paths = files(scenario, fmus, folder).fmus
     check_found(paths)
-    return [path.name for name, path in paths.items() if name in used and describe(path)[1].guid != used[name].guid]
+    return [path.name for name, path in paths.items() if name in used and describe(path).guid != used[name].guid]

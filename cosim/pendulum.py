@@ -6,7 +6,6 @@ design's numbers and the supervisor's; names and files do not count.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import fields
 from functools import lru_cache
 from pathlib import Path
@@ -19,10 +18,8 @@ from plant_fmu.parameters import QubeParameters
 
 from . import parameter_files
 from .errors import UserError
+from .start_values import StartValue, StartValues
 from .structure import Wire
-
-StartValue = bool | int | float | str
-StartValues = Mapping[str, StartValue]
 
 SAMPLE_TIMES = next(v for v in CONTROLLER.variables if v.name == "sample_time").limits()
 """Bounds of the controller's sample time [s]."""

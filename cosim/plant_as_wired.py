@@ -20,11 +20,13 @@ from fmu_export.units import per_second
 
 from .derivatives import FIRST, EvaluationError
 from .design_match import Seen
-from .fmu import FmuError, Value, describe, start_values_of
+from .fmu import FmuError
+from .fmu_files import describe, start_values_of
 from .interrupts import deferred_interrupt
 from .linear_plants import CoarseModel, Plant
 from .linearize import open_plant
 from .plant_variables import START, HiddenStatesError, unit_of
+from .start_values import StartValue
 
 Array = np.ndarray
 
@@ -74,7 +76,7 @@ class Question:
 
     path: Path
     content: str
-    start: tuple[tuple[str, Value | str], ...]
+    start: tuple[tuple[str, StartValue], ...]
     outputs: tuple[ComparedWire, ...]
     inputs: tuple[ComparedWire, ...]
     places: tuple[tuple[str, Place], ...]
@@ -138,9 +140,9 @@ def found(question: Question) -> Found | str:
         return str(error)
 
 
-def _exact(path: Path) -> dict[str, Value]:
+def _exact(path: Path) -> dict[str, StartValue]:
     """Return the start values that let a linear plant's sensors measure exactly."""
-    outputs = {v.name for v in describe(path)[1].modelVariables if v.causality == "output"}
+    outputs = {v.name for v in describe(path).modelVariables if v.causality == "output"}
     own = start_values_of(path)
     return {name: 0.0 for name in own if name.endswith(RESOLUTION) and name.removesuffix(RESOLUTION) in outputs}
 

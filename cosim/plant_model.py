@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.system import System
 
 from .errors import UserError
 

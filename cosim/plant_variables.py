@@ -10,10 +10,11 @@ from fmpy.model_description import ScalarVariable
 
 from fmu_export.errors import shown
 from fmu_export.variables import did_you_mean
-from ihc_fmu.system import Quantity
+from ihc_fmu.quantity import Quantity
 
 from .errors import UserError
-from .fmu import Instance, Value
+from .fmu import Instance
+from .start_values import StartValue
 from .unit_definitions import unit_of
 
 MOST_VARIABLES = 256
@@ -131,7 +132,7 @@ def bound_of(variable: ScalarVariable, name: str, none: float) -> float:
     return none if value is None or abs(value) >= 1e300 else value
 
 
-def start_of(variable: ScalarVariable) -> Value:
+def start_of(variable: ScalarVariable) -> StartValue:
     """Return the start value of a real variable; 0 without."""
     return _number(variable.start) or 0.0
 

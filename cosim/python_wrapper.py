@@ -16,11 +16,15 @@ from contextlib import suppress
 from pathlib import Path
 
 
-def finalize_at_exit(library: ctypes.CDLL) -> None:
-    """Have the wrapper let go of its state before the process ends: what comes later then finds none."""
+def finalize_at_exit(library: ctypes.CDLL) -> bool:
+    """Have the wrapper let go of its state before the process ends; return whether the library is one.
+
+    What comes later then finds no state.
+    """
     finalize = getattr(library, "finalizePythonInterpreter", None)
     if finalize is not None:
         atexit.register(finalize)
+    return finalize is not None
 
 
 def keep_globals(folder: Path) -> None:

@@ -30,10 +30,11 @@ from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, p
 from .integration import Interface
 from .master import Engine, Order, step_count
 from .names import PlainName
-from .pendulum import WIRES, StartValue
+from .pendulum import WIRES
 from .pendulum_files import PENDULUM_FMUS
 from .plant_variables import START
 from .results import Result
+from .start_values import StartValue
 from .structure import Component, Signal, SystemStructure, Wire
 from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, Variables, WireSection
@@ -334,10 +335,10 @@ def files(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) ->
 
 def check_found(fmus: Mapping[str, Path]) -> None:
     """Raise UserError for an FMU of a scenario, by its component, that is not there."""
-    from .fmu import found  # noqa: PLC0415
+    from .fmu_files import check_exists  # noqa: PLC0415
 
     for path in fmus.values():
-        found(path, "--fmus names the folder of the scenario's FMUs")
+        check_exists(path, "--fmus names the folder of the scenario's FMUs")
 
 
 def _beside_or_here(file: str, folder: FilePath | None) -> Path:
@@ -391,9 +392,9 @@ class _Plan:
     @cached_property
     def variables(self) -> dict[str, Variables]:
         """The FMUs' variables by component and name."""
-        from .fmu import describe  # noqa: PLC0415
+        from .fmu_files import describe  # noqa: PLC0415
 
-        return {name: {v.name: v for v in describe(path)[1].modelVariables} for name, path in self.paths.items()}
+        return {name: {v.name: v for v in describe(path).modelVariables} for name, path in self.paths.items()}
 
     @property
     def measurement(self) -> str:
@@ -571,11 +572,11 @@ def _check_model(system: SystemStructure) -> None:
 
     Before that where a wire joins other units.
     """
-    from .fmu import describe  # noqa: PLC0415
+    from .fmu_files import describe  # noqa: PLC0415
     from .model_match import misfit  # noqa: PLC0415 - heavy
     from .unit_definitions import check_units  # noqa: PLC0415
 
-    descriptions = {component.name: describe(component.path)[1] for component in system.components}
+    descriptions = {component.name: describe(component.path) for component in system.components}
     for wire in system.wires:
         check_units(wire, descriptions)
     problem = misfit(system)
@@ -598,7 +599,7 @@ def _check_sample_time(system: SystemStructure, step: float) -> None:
 
 def _loose_controls(system: SystemStructure) -> list[str]:
     """Return a sentence for each control of one of our controllers that is wired to nothing, though there is a plant."""
-    from .fmu import describe  # noqa: PLC0415
+    from .fmu_files import describe  # noqa: PLC0415
 
     there = {component.name: component.path for component in system.components}
     if not {CONTROLLER, PLANT} <= there.keys():
@@ -606,7 +607,7 @@ def _loose_controls(system: SystemStructure) -> list[str]:
     own, wired = _own_values(there[CONTROLLER]), {wire.source for wire in system.wires}
     controls = [
         v.name
-        for v in describe(there[CONTROLLER])[1].modelVariables
+        for v in describe(there[CONTROLLER]).modelVariables
         if v.causality == "output"
         and (f"{v.name}{LOWER}" in own or (pendulum.is_controller(own) and v.name == "voltage"))
     ]
@@ -701,6 +702,6 @@ def run_scenario(
 
 def _own_values(fmu: Path) -> Mapping[str, StartValue]:
     """Return the start values with which an FMU was exported, by name and in their types."""
-    from .fmu import start_values_of  # noqa: PLC0415
+    from .fmu_files import start_values_of  # noqa: PLC0415
 
     return start_values_of(fmu)

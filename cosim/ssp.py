@@ -7,7 +7,6 @@ An SSP is a stranger's archive: it is unpacked as `archives` does, and nothing o
 
 from __future__ import annotations
 
-import atexit
 import math
 import re
 import shutil
@@ -30,11 +29,12 @@ from fmu_export.errors import shown
 from fmu_export.files import FilePath
 from fmu_export.ssp import OMS, SSC, SSD, write_ssp
 
-from .archives import unpack
+from .archives import UnpackedArchive
 from .errors import UserError
-from .fmu import Value, describe, start_values_of
+from .fmu_files import describe, start_values_of
 from .integration import INTERFACES, interface_of
 from .names import is_plain
+from .start_values import StartValue
 from .structure import SystemStructure
 from .unit_definitions import conversion, scale_of
 from .wiring import CONTROLLER, PLANT
@@ -65,15 +65,8 @@ def _parsed(content: bytes, source: str) -> ET.Element:
 
 
 @lru_cache(maxsize=16)
-def _unpacked(path: Path, _time: int, _size: int) -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="qube-ihc-"))
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    try:
-        unpack(path, folder)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return folder
+def _unpacked(path: Path, _time: int, _size: int) -> UnpackedArchive:
+    return UnpackedArchive(path)
 
 
 def read(path: FilePath) -> tuple[dict[str, Any], Path]:
@@ -88,8 +81,8 @@ def read(path: FilePath) -> tuple[dict[str, Any], Path]:
         raise UserError(f"SSP file {path} cannot be read: {error.strerror}") from None
     if not zipfile.is_zipfile(path):
         raise UserError(f"{path} is not an SSP file: it is not a zip file")
-    folder = _unpacked(path.absolute(), status.st_mtime_ns, status.st_size)
-    description = folder / DESCRIPTION
+    archive = _unpacked(path.absolute(), status.st_mtime_ns, status.st_size)
+    folder, description = archive.folder, archive.folder / DESCRIPTION
     if not description.is_file():
         raise UserError(f"{path} is not an SSP file: it has no {DESCRIPTION}")
     try:
@@ -168,9 +161,9 @@ class _Reader:
             raise UserError(f"{what} must have its file inside the archive, found {shown(source)}")
         return path
 
-    def _values(self, element: ET.Element) -> dict[str, Value]:
+    def _values(self, element: ET.Element) -> dict[str, StartValue]:
         """Return the start values of an element's parameter bindings, later ones before earlier ones."""
-        found: dict[str, Value] = {}
+        found: dict[str, StartValue] = {}
         for binding in element.iterfind(f"{{{SSD}}}ParameterBindings/{{{SSD}}}ParameterBinding"):
             if binding.find(f"{{{SSD}}}ParameterMapping") is not None:
                 raise UserError(
@@ -223,13 +216,13 @@ class _Reader:
         return {} if found is None else {"factor": found[0], "offset": found[1]}
 
     def _description(self, name: str) -> ModelDescription:
-        return describe(self.paths[name])[1]
+        return describe(self.paths[name])
 
     def _unit(self, component: str, variable: str) -> str:
         found = (v.unit for v in self._description(component).modelVariables if v.name == variable)
         return next(found, None) or ""
 
-    def _fill(self, start: dict[str, dict[str, Value]], wires: list[dict[str, Any]]) -> None:
+    def _fill(self, start: dict[str, dict[str, StartValue]], wires: list[dict[str, Any]]) -> None:
         """Give the inputs of a controller that nothing is connected to the start values that they have by the standard."""
         if CONTROLLER not in self.paths:
             return
@@ -240,7 +233,7 @@ class _Reader:
                 start[CONTROLLER].setdefault(variable.name, own[variable.name])
 
     def _scenario(
-        self, system: ET.Element, start: Mapping[str, dict[str, Value]], wires: list[dict[str, Any]]
+        self, system: ET.Element, start: Mapping[str, dict[str, StartValue]], wires: list[dict[str, Any]]
     ) -> dict[str, Any]:
         parts = {
             name: {"fmu": path.name, "interface": self.interfaces[name], "start": start[name]}
@@ -288,7 +281,7 @@ def _number(text: str, what: str) -> float:
         raise UserError(f"{what} must be a number, found {shown(text)}") from None
 
 
-def _value(name: str, parameter: ET.Element) -> Value:
+def _value(name: str, parameter: ET.Element) -> StartValue:
     """Return the value of a parameter in a set, in its type."""
     typed = next((child for child in parameter if child.tag.startswith(f"{{{SSV}}}")), None)
     kind, text = ("none", "") if typed is None else (_local(typed.tag), typed.get("value", ""))
@@ -339,11 +332,11 @@ def write(path: FilePath, name: str, system: SystemStructure, duration: float, s
     return path
 
 
-def _add_values(element: ET.Element, fmu: Path, start: Mapping[str, Value]) -> None:
+def _add_values(element: ET.Element, fmu: Path, start: Mapping[str, StartValue]) -> None:
     """Add start values to a component: a set of parameters, and a connector for each that has none."""
     if not start:
         return
-    variables = {v.name: v for v in describe(fmu)[1].modelVariables}
+    variables = {v.name: v for v in describe(fmu).modelVariables}
     connectors = element.find(f"{{{SSD}}}Connectors")
     assert connectors is not None
     known = {connector.get("name") for connector in connectors}

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from fmu_export.files import FilePath
 
-from .fmu import Value
 from .integration import Interface
+from .start_values import StartValue
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class Component:
 
     name: str
     path: Path
-    start: Mapping[str, Value | str]
+    start: Mapping[str, StartValue]
     interface: Interface | None
 
     def __init__(
         self,
         name: str,
         path: FilePath,
-        start: Mapping[str, Value | str] | None = None,
+        start: Mapping[str, StartValue] | None = None,
         interface: Interface | None = None,
     ) -> None:
         for entry, value in (("name", name), ("path", Path(path)), ("start", start or {}), ("interface", interface)):

@@ -147,7 +147,8 @@ def _device(
 
         return QuanserDevice(text, watchdog=watchdog, identifier=identifier)
     if text.startswith("udp://"):
-        from ..hil.udp import UdpDevice, address_of
+        from ..hil.udp import UdpDevice
+        from ..hil.udp_messages import address_of
 
         return UdpDevice(address_of(text.removeprefix("udp://")), real_time=not lockstep)
     raise UserError(
@@ -274,7 +275,7 @@ def _elsewhere(result: Result) -> str:
 def _judged(component: Component, signals: Sequence[Signal]) -> dict[str, Any]:
     """Return the log's word on what it is judged by, where the controller is to hold the arm at another angle than 0."""
     from ..evaluation import ARM_SET_POINT, pendulum_evaluation
-    from ..fmu import start_values_of
+    from ..fmu_files import start_values_of
     from ..hil.replay import MEASURED
     from ..wiring import CONTROLLER
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..errors import UserError
 from ..evaluation import ARM_SET_POINT
-from ..fmu import Instance, as_value
+from ..fmu import Instance
 from ..room import check_memory
+from ..start_values import as_value
 from ..structure import Signal
 from ..wiring import CONTROLLER
 from .guards import Limits

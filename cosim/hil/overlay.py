@@ -13,7 +13,7 @@ from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import ParameterSet, QubeParameters
 
 from ..errors import UserError
-from ..fmu import start_values_of
+from ..fmu_files import start_values_of
 from ..master import simulate
 from ..parameter_files import chosen
 from ..provenance import provenance

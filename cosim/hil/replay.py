@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import UserError
-from ..fmu import FmuError, describe
+from ..fmu import FmuError
+from ..fmu_files import describe
 from ..interrupts import second_ends
 from ..provenance import Provenance, provenance
 from ..results import Result, SimulationError
 from ..structure import Component
+from .controller import ControllerFmu
 from .driven import names_of
-from .loop import ControllerFmu
 
 MEASURED = ("plant.theta_encoder", "plant.delta_encoder")
 
@@ -55,7 +56,7 @@ def controller_of(result: Result, given: Path | None, fmus: Path) -> Path:
     if used is None:
         raise UserError("the log does not say with which controller it was made; --controller names one")
     path = fmus / used.file
-    guid = describe(path)[1].guid
+    guid = describe(path).guid
     if guid != used.guid:
         raise UserError(
             f"{path} is not the FMU that the log was made with, its GUID is {guid} and that of the log {used.guid}; "
@@ -67,7 +68,7 @@ def controller_of(result: Result, given: Path | None, fmus: Path) -> Path:
 def is_own(result: Result, fmu: Path) -> bool:
     """Return whether `fmu` is the controller that the log was made with, by its GUID."""
     used = provenance(result).fmus.get("controller")
-    return used is not None and describe(fmu)[1].guid == used.guid
+    return used is not None and describe(fmu).guid == used.guid
 
 
 def replay(result: Result, fmu: Path) -> Replay:

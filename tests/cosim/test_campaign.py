@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from cosim import campaign
 from cosim.campaign import Job, Journal, code_files, run_all, run_numbers
 from cosim.errors import UserError
-from cosim.fmu import Instance
+from cosim.fmu_files import UnpackedFmu
 from cosim.metrics import evaluate
 from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result, SimulationError
@@ -143,16 +143,16 @@ def test_python_fmus_run_in_threads_as_alone_and_as_native_ones(python_fmus, fmu
 
 def test_relative_paths_are_found_while_another_thread_loads_a_library(elsewhere, job, monkeypatch):
     """As it happens now and then by itself, but always: the second run looks for its FMUs while the first loads one."""
-    loading, looked, load = threading.Event(), threading.Event(), Instance._loaded
+    loading, looked, load = threading.Event(), threading.Event(), UnpackedFmu.library
 
-    def load_slowly(self):
+    def load_slowly(*arguments):
         if not loading.is_set():
             where = Path.cwd()
             os.chdir("/")
             loading.set()
             looked.wait(0.5)
             os.chdir(where)
-        return load(self)
+        return load(*arguments)
 
     def run(scenario, *rest):
         if scenario.run.seed == 2:
@@ -164,7 +164,7 @@ def test_relative_paths_are_found_while_another_thread_loads_a_library(elsewhere
                 looked.set()
 
     monkeypatch.chdir(elsewhere)
-    monkeypatch.setattr(Instance, "_loaded", load_slowly)
+    monkeypatch.setattr(UnpackedFmu, "library", load_slowly)
     monkeypatch.setattr(campaign, "run_scenario", run)
     found = run_all([job(seed, run__seed=seed) for seed in (1, 2)], Path("fmus"), lambda _: "fine", 2)
     assert found == {1: "fine", 2: "fine"}

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cosim import archives, parameter_files
 from cosim.errors import UserError
-from cosim.fmu import describe
+from cosim.fmu_files import describe
 from cosim.hil.log import Layout, RowLog, recover
 from cosim.hil.replay import controller_of
 from cosim.names import is_plain

@@ -8,7 +8,7 @@ import pytest
 from cosim import parameter_files
 from cosim.campaign import Job, Journal, run_all
 from cosim.errors import UserError
-from cosim.fmu import describe
+from cosim.fmu_files import describe
 from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, build_system, load_scenario, run_scenario
 from plant_fmu.interface import start_values
@@ -63,10 +63,10 @@ def test_dry_friction_may_be_missing_and_whole_numbers_are_numbers(file):
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"D_rr": "1.0"}, "there is no parameter 'D_rr'; did you mean D_r?"),
-        ({"m_p": None}, "m_p missing; a parameter file has source, back_emf, m_p, L_p, J_p"),
-        ({"source": None, "k_m": None}, "source, k_m missing"),
-        ({"back_emf": None}, "back_emf missing"),
+        ({"D_rr": "1.0"}, "there is no entry D_rr; did you mean D_r?"),
+        ({"m_p": None}, "m_p is required"),
+        ({"source": None, "k_m": None}, "source is required"),
+        ({"back_emf": None}, "back_emf is required"),
         ({"m_p": "'heavy'"}, "m_p must be a number, found 'heavy'"),
         ({"m_p": "true"}, "m_p must be a number, found true"),
         ({"m_p": "0.0"}, "m_p must be finite and positive, found 0.0 kg"),
@@ -148,7 +148,7 @@ def test_the_same_numbers_from_a_file_are_the_same_run(fmus, same, tmp_path):
 def test_an_export_takes_files_for_plant_and_nominal_model(file, design, tmp_path):
     path = str(file())
     plant, controller, _ = export_units(design, path, path, tmp_path / "fmus")
-    starts = {v.name: v.start for u in (plant, controller) for v in describe(u)[1].modelVariables}
+    starts = {v.name: v.start for u in (plant, controller) for v in describe(u).modelVariables}
     assert float(str(starts["T_r"])) == MINE.parameters.T_r
     assert {float(str(starts[name])) for name in ("D_r", "nominal_arm_damping")} == {MINE.parameters.D_r}
     assert starts["back_emf"] == "false"

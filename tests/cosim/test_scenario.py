@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
 from cosim.experiments import check_outputs
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.inputs import DisturbanceSection, Sine
 from cosim.metrics import evaluate, kept_upright
 from cosim.pendulum_export import export_units
@@ -28,9 +28,10 @@ from cosim.scenario import (
     run_scenario,
 )
 from fmu_export.python_fmu import export_python_fmu
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.interface import kalman_gains
 from ihc_fmu.pendulum.start_values import kalman_values, nominal_values
-from ihc_fmu.synthesis import Options, inverse_design
 from ihc_fmu.system import System
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS, QubeParameters

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.scenario import load_scenario, run_scenario
 from cosim.ssp import DESCRIPTION, SSV
 from fmu_export.ssp import SSC, SSD

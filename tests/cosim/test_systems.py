@@ -14,18 +14,20 @@ from scipy.linalg import expm, solve_continuous_are
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
 from cosim.experiments import Experiment, laws_of, run_experiments
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.metrics import evaluate, quantities_of
 from cosim.overlay import compared, lay
 from cosim.results import Result
 from cosim.scenario import build_system, evaluation, load_scenario, run_scenario, with_tolerances
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.block_form import block_form
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
+from ihc_fmu.quantity import Quantity
 from ihc_fmu.regulator.interface import Shape
 from ihc_fmu.regulator.native_unit import NATIVE as CONTROLLER
 from ihc_fmu.regulator.start_values import Regulator
-from ihc_fmu.synthesis import Options, inverse_design
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.system import System
 from plant_fmu.linear.native_unit import NATIVE as PLANT
 from plant_fmu.linear.start_values import linear_plant_values
 from plant_fmu.linear.start_values import shown_interface as shown_linear_plant
@@ -317,11 +319,10 @@ def test_what_is_the_pendulums_is_refused_elsewhere(units, scenario):
 def test_the_pendulums_own_wires_are_what_equal_names_give_with_its_encoders(fmus):
     """A controller of another kind on the pendulum gets the counted angles under the angles' names."""
     from cosim import pendulum, wiring
-    from cosim.fmu import describe
+    from cosim.fmu_files import describe
 
     plant, controller = (
-        {v.name: v for v in describe(fmus / f"{name}.fmu")[1].modelVariables}
-        for name in ("QubeServo2", "IhcController")
+        {v.name: v for v in describe(fmus / f"{name}.fmu").modelVariables} for name in ("QubeServo2", "IhcController")
     )
     for measurement in ("encoders", "ideal"):
         seen = pendulum.measured(wiring.outputs(plant), measurement)

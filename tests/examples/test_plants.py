@@ -13,17 +13,18 @@ import sympy as sp
 from fmpy.validation import validate_fmu
 
 from cosim import structure
-from cosim.fmu import start_values_of
+from cosim.fmu_files import start_values_of
 from cosim.linearize import linear_model
 from cosim.master import simulate
 from cosim.model_match import remarks
 from cosim.scenario import build_system, load_scenario, run_scenario
 from cosim.system_export import export_system
 from fmu_export.errors import UserError
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.regulator.interface import INTERFACE, OUTPUTS
 from ihc_fmu.regulator.start_values import design_regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit
-from ihc_fmu.synthesis import chosen_options, inverse_design
+from ihc_fmu.synthesis import chosen_options
 from ihc_fmu.system import System
 
 from .conftest import EXAMPLES

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from cosim.__main__ import main as entry_point
-from cosim.fmu import describe
+from cosim.fmu_files import describe
 from cosim.metrics import QUANTITIES, evaluate
 from cosim.results import Result
 from cosim.scenario import Scenario, run_scenario
@@ -108,7 +108,7 @@ def test_design_export_run_compare(tmp_path):
     fmus = ["fmus/IhcController.fmu", "fmus/QubeServo2.fmu", "fmus/QubeWithController.ssp"]
     assert files(tmp_path / "fmus") == [name.removeprefix("fmus/") for name in fmus]
     assert all(f"wrote {name}" in said for name in fmus)
-    variables = describe(tmp_path / fmus[0])[1].modelVariables
+    variables = describe(tmp_path / fmus[0]).modelVariables
     sliding = linear_pole_smc(design.A, design.b, design.k_lin)
     exported = {
         v.name: float(v.start or "nan") for v in variables if v.name.startswith(("smc_", "mu", "k_lin", "a_min"))
