@@ -56,6 +56,16 @@ class InfeasibleError(UserError):
         What was asked for, and what came of it.
     numerical
         Whether none was found although none is refuted either.
+
+    Examples
+    --------
+    >>> from ihc_fmu import InfeasibleError, System, synthesize
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> try:
+    ...     synthesize(cart, mu=1.0, alpha=2.0)
+    ... except InfeasibleError as error:
+    ...     print(error, error.numerical)
+    alpha = 2 1/s, mu = 1: the matrix inequalities have no solution False
     """
 
     def __init__(self, message: str, *, numerical: bool = False) -> None:
