@@ -312,11 +312,11 @@ def norm_of(design: Candidate, x: ArrayLike) -> float:
 
 def _state(design: Candidate, x: ArrayLike) -> Array:
     states = design.system.states
-    found = vector("x", x, states)
-    if not np.isfinite(found).all():
-        i = int(np.argmin(np.isfinite(found)))
-        raise UserError(f"x must be finite, found {found[i]} for {states[i].name}")
-    return found
+    state = vector("x", x, states)
+    if not np.isfinite(state).all():
+        i = int(np.argmin(np.isfinite(state)))
+        raise UserError(f"x must be finite, found {state[i]} for {states[i].name}")
+    return state
 
 
 def settling_time_bound(design: Candidate, x0: ArrayLike) -> float:

@@ -58,8 +58,8 @@ def regulator_of(design: Design) -> Regulator:
 
 
 def _kalman(design: Design) -> LinearFilter:
-    found = estimator(design)
-    return LinearFilter(F=found.F, G=found.G, C=np.asarray(design.system.C), M=found.M, decay=found.decay)
+    kalman = estimator(design)
+    return LinearFilter(F=kalman.F, G=kalman.G, C=np.asarray(design.system.C), M=kalman.M, decay=kalman.decay)
 
 
 class Controller:

@@ -223,8 +223,8 @@ class Design(Candidate):
         """
         data = parse_json(text, "a design")
         if not isinstance(data, dict) or data.get("format") not in (FORMAT, FORMAT_1):
-            found = data.get("format") if isinstance(data, dict) else type(data).__name__
-            raise UserError(f"the format must be {FORMAT!r}, found {shown(found)}")
+            given = data.get("format") if isinstance(data, dict) else type(data).__name__
+            raise UserError(f"the format must be {FORMAT!r}, found {shown(given)}")
         model = ("system",) if data["format"] == FORMAT else ("A", "b", "k_lin")
         missing = {*model, "P", "mu", "alpha"} - data.keys()
         unknown = data.keys() - {*model, "P", *_SCALARS} - {"format", "derived"}
