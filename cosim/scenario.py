@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -38,6 +38,9 @@ from .start_values import StartValue
 from .structure import Component, Signal, SystemStructure, Wire
 from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, Variables, WireSection
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
 
 BUILT_IN = Path(__file__).parent / "scenarios"
 
@@ -629,6 +632,17 @@ def remarks(system: SystemStructure, scenario: Scenario) -> list[str]:
         if component.name == CONTROLLER:
             said += certified.remarks(_own_values(component.path), scenario.controller.start)
     return said
+
+
+def controller_design(
+    system: SystemStructure, scenario: Scenario, folder: FilePath | None = None
+) -> tuple[Design | None, list[str]]:
+    """Return the design of a scenario's controller, and what its certificate does not cover, as `certified.design_of`."""
+    for component in system.components:
+        if component.name == CONTROLLER:
+            file = scenario.controller.design
+            return certified.design_of(component, None if file is None else _beside_or_here(file, folder))
+    return None, []
 
 
 def with_tolerances(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> Scenario:

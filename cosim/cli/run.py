@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import secrets
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from filing.ownership import check_replaceable, is_ours
+from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_metrics, progress, say_notes, warn_of_messages
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .display import console, escaped, print_metrics, progress, remove_earlier, say_notes, warn_of_messages
+from .options import (
+    SCENARIO_HELP,
+    FmusOption,
+    Page,
+    ReportFileOption,
+    ReportOption,
+    SetOption,
+    assignments,
+    page_wanted,
+)
 
 if TYPE_CHECKING:
     from ..results import Result
@@ -32,6 +42,8 @@ def run(
         ),
     ] = None,
     plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
+    report: ReportOption = False,
+    report_file: ReportFileOption = None,
 ) -> None:
     """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
 
@@ -39,7 +51,7 @@ def run(
     """
     from ..metrics import can_draw, can_evaluate, overflow
     from ..results import Interrupted, SimulationError
-    from ..scenario import build_system, load_located, remarks, rest_remarks, run_scenario
+    from ..scenario import build_system, controller_design, load_located, remarks, rest_remarks, run_scenario
 
     chosen, folder, fmus = load_located(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -53,8 +65,10 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
+    page = page_wanted(report, report_file, path.with_suffix(".html"))
     system = build_system(chosen, fmus, folder)
-    say_notes(remarks(system, chosen))
+    notes = remarks(system, chosen)
+    say_notes(notes)
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -76,12 +90,12 @@ def run(
         except KeyboardInterrupt:
             bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
             raise
-    earlier = path.with_suffix(".png")
-    if not plot and earlier.is_file() and is_ours(earlier):
-        earlier.unlink()
-        console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
+    for suffix, what, again in ((".png", "picture", plot), (".html", "report", page is not None)):
+        if not again:
+            remove_earlier(path.with_suffix(suffix), what)
     warn_of_messages(result)
-    say_notes(rest_remarks(result, system))
+    at_rest = rest_remarks(result, system)
+    say_notes(at_rest)
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and can_draw(result):
         from ..plots import save_overview
@@ -91,6 +105,15 @@ def run(
     if can_evaluate(result):
         say_notes(filter(None, [overflow(result)]))
         print_metrics(result)
+    if page is not None:
+        found, uncovered = controller_design(system, chosen, folder)
+        said = [*dict.fromkeys([*notes, *uncovered, *at_rest])]
+        _report(result, replace(page, notes=said, design=found), path)
+
+
+def _report(result: Result, page: Page, table: Path) -> None:
+    written = result.report(page.path or table.with_suffix(".html"), notes=page.notes, design=page.design, table=table)
+    console.print(f"wrote {escaped(written)}")
 
 
 def _save(result: Result, path: Path) -> Path:
