@@ -24,6 +24,7 @@ from ihc_fmu.sampled_unit import check_step
 from plant_fmu.parameters import PARAMETER_SETS
 
 from . import certified, parameter_files, pendulum, ssp, wiring
+from .animation import BodySection, check_bodies, check_signals
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, TRUE, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .inputs import CsvSignal, DisturbanceSection, SignalSection, function_of, planned
@@ -156,7 +157,7 @@ class Scenario(_Section):
         What happens, in words: the title of pictures.
     wires
         The connections; None: by equal names of plant and controller.
-    run, plant, controller, components, disturbance, signals, evaluate, record
+    run, plant, controller, components, disturbance, signals, animation, evaluate, record
         The sections of the file, see the reference of scenarios.
     """
 
@@ -169,8 +170,15 @@ class Scenario(_Section):
     components: dict[str, ComponentSection] = {}
     disturbance: DisturbanceSection = DisturbanceSection()  # type: ignore[call-arg]
     signals: tuple[SignalSection, ...] = ()
+    animation: tuple[BodySection, ...] = ()
     evaluate: EvaluateSection = EvaluateSection()  # type: ignore[call-arg]
     record: RecordSection = RecordSection()  # type: ignore[call-arg]
+
+    @field_validator("animation")
+    @classmethod
+    def _bodies(cls, value: tuple[BodySection, ...]) -> tuple[BodySection, ...]:
+        check_bodies(value)
+        return value
 
     @field_validator("components")
     @classmethod
@@ -432,6 +440,7 @@ class _Plan:
         wires = self.wires()
         started = {name: self._start(name) for name in self.paths}
         signals = self.signals()
+        check_signals(self.scenario.animation, self._signals_recorded(signals))
         if CONTROLLER in self.paths and wires not in WIRES.values():
             self._check_fed(wires, signals, started[CONTROLLER])
         names = self._sequence(wires)
@@ -441,6 +450,13 @@ class _Plan:
         if not self.scenario.controller.other_model:
             _check_model(system)
         return system
+
+    def _signals_recorded(self, signals: Sequence[Signal]) -> Sequence[str]:
+        """Return the names of all signals that the run records."""
+        if self.scenario.record.outputs is not None:
+            return self.scenario.record.outputs
+        given = [f"{name}.{output}" for name, known in self.variables.items() for output in wiring.outputs(known)]
+        return [*given, *(signal.target for signal in signals if signal.recorded)]
 
     def wires(self) -> tuple[Wire, ...]:
         if self.scenario.wires is not None:
