@@ -30,12 +30,22 @@ class LinearModel:
     ----------
     name
         A C identifier, from the file's name.
-    A, B, C, D
-        Shapes (n, n), (n, m), (p, n), (p, m).
+    A
+        How the states act on their derivatives, shape (n, n).
+    B
+        How the inputs act on the states' derivatives, shape (n, m).
+    C
+        How the states act on the outputs, shape (p, n).
+    D
+        How the inputs act on the outputs, shape (p, m).
     states, inputs, outputs
         Names and units.
-    x_eq, u_eq, y_eq
-        The equilibrium.
+    x_eq
+        The states at the equilibrium, shape (n,).
+    u_eq
+        The inputs there, shape (m,).
+    y_eq
+        The outputs there, shape (p,).
     residual
         x' there, shape (n,).
     lower, upper

@@ -98,6 +98,14 @@ def add_public_names(app: Sphinx, docname: str, source: list[str]) -> None:
     source[0] = PUBLIC_NAMES.sub(lambda mark: listing(mark[1]), source[0])
 
 
+NOT_RUN = re.compile(r"  +# not run: [^\n]+$", re.MULTILINE)
+
+
+def hide_marks(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Leave out the marks of commands that no test runs; they are for the tests and for those who read the source."""
+    source[0] = NOT_RUN.sub("", source[0])
+
+
 def shield_bars(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Make |x| in a docstring an absolute value and not a substitution of reStructuredText."""
     lines[:] = [line if line.startswith(("    ", ">>>")) else re.sub(r"(?<!\\)\|", r"\\|", line) for line in lines]
@@ -118,6 +126,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     """Add what this file defines."""
     app.connect("source-read", add_navigation)
     app.connect("source-read", add_public_names)
+    app.connect("source-read", hide_marks)
     app.connect("autodoc-process-docstring", shield_bars)
     app.add_html_math_renderer("mathml", (visit_math, None), (visit_math, None))
     return {"parallel_read_safe": True, "parallel_write_safe": True}
