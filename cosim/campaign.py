@@ -29,7 +29,9 @@ from .errors import UserError
 from .fmu_files import describe
 from .interrupts import second_ends
 from .results import Result, SimulationError, versions
-from .scenario import Scenario, files, run_scenario
+from .scenario import Scenario
+from .scenario_files import files
+from .scenario_run import run_scenario
 
 APPLICATION, VERSION = 0x51554245, 2
 """What tells a journal from another SQLite file: "QUBE", and the version of its format."""

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ihc_fmu.pendulum.interface import matrix, upper_triangle, vector
-
-if TYPE_CHECKING:
-    from ihc_fmu.design import Design
 
 _PENDULUM = {*matrix("Phi"), *upper_triangle("P"), *vector("row"), *vector("k_lin"), "mu"}
 _ANY = re.compile(r"[KP]_\d+_\d+|mu")
@@ -43,14 +40,3 @@ def _differ(names: Sequence[str]) -> str:
     more = len(names) - SHOWN
     listed = ", ".join(names[:SHOWN]) + (f" and {more} more" if more > 0 else "")
     return f"{listed} {'differs' if len(names) == 1 else 'differ'}"
-
-
-def start_values(design: Design) -> dict[str, Any]:
-    """Return the start values that the controller FMU of a design has from it."""
-    from ihc_fmu.controller import regulator_of  # noqa: PLC0415 - heavy
-    from ihc_fmu.pendulum.start_values import design_values  # noqa: PLC0415
-    from ihc_fmu.system import PENDULUM  # noqa: PLC0415
-
-    if design.system.name == PENDULUM:
-        return dict(design_values(design))
-    return {v.name: v.start for v in regulator_of(design).exported()[0].variables}

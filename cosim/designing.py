@@ -25,9 +25,9 @@ from ihc_fmu.synthesis import (
     largest_alpha,
     largest_alpha_of,
 )
-from ihc_fmu.system import PENDULUM, System
+from ihc_fmu.system import System
 
-from . import pendulum_export, system_export
+from .design_export import check_exportable
 from .errors import UserError
 
 Say = Callable[[str], object]
@@ -85,9 +85,8 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, Choice]:
 
 def unexportable(design: Design) -> list[str]:
     """Return the sentence with which `export` will refuse a design, found by its own checks; nothing where it will not."""
-    check = pendulum_export.check_exportable if design.system.name == PENDULUM else system_export.check_exportable
     try:
-        check(design)
+        check_exportable(design)
     except UserError as error:
         return [f"export will refuse this: {error}"]
     return []

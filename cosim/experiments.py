@@ -36,21 +36,16 @@ from .draws import (
     root_mean_square,
 )
 from .fmu import Instance
+from .judged_signals import kept_upright, missing_signals, overflow
 from .master import Coupling
-from .metrics import (
-    WINDOW,
-    MetricMeaning,
-    Metrics,
-    evaluate,
-    is_pendulum,
-    kept_upright,
-    measure_of,
-    missing_signals,
-    overflow,
-)
+from .metric_meanings import WINDOW, MetricMeaning, is_pendulum, measure_of
+from .metrics import Metrics, evaluate
 from .names import is_plain
 from .results import Result
-from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario, with_tolerances
+from .scenario import Scenario
+from .scenario_files import files
+from .scenario_run import run_scenario, with_tolerances
+from .scenario_system import build_system, evaluation, plant_values
 from .tables import mark
 from .wiring import CONTROLLER
 
@@ -239,8 +234,7 @@ class Comparison:
             said.append(
                 "nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all"
             )
-        beyond = {law: overflow(result) for law, result in self.results.items()}
-        said += [f"{law}: {text}" for law, text in beyond.items() if text]
+        said += self.overflows()
         late = {law: self.unsettled(law) for law in laws}
         if self.count > 1 and any(late.values()):
             several = ", ".join(f"{law} {n}" for law, n in late.items())
@@ -252,6 +246,10 @@ class Comparison:
                 "shorter; make run.duration longer"
             )
         return said
+
+    def overflows(self) -> list[str]:
+        """Return in a sentence for each law whose typical draw leaves the range of numbers what does so first."""
+        return [f"{law}: {text}" for law, result in self.results.items() for text in overflow(result)]
 
     @property
     def _norm(self) -> str:

@@ -97,8 +97,8 @@ def _planned(
     from plant_fmu.slave import QubeServo2
 
     from .parameter_files import chosen
+    from .pendulum import WIRES
     from .pendulum_match import misfit
-    from .scenario import WIRES
 
     check_order(design)
     wires = [(w.source, w.target) for w in WIRES["encoders"]]

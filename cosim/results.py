@@ -80,7 +80,7 @@ class Result(Recording):
         UserError
             For a signal that is not there, or a result without rows.
         """
-        from .metrics import can_draw, can_evaluate  # noqa: PLC0415 - heavy
+        from .judged_signals import can_draw, can_evaluate  # noqa: PLC0415 - heavy
         from .plots import overview, panels_of  # noqa: PLC0415
 
         if not len(self.time) or not self.signals:
@@ -93,7 +93,8 @@ class Result(Recording):
         """Return the metrics as a table, or without them the signals, for notebooks."""
         from ihc_fmu.html import html_table  # noqa: PLC0415
 
-        from .metrics import can_evaluate, evaluate, unsteady  # noqa: PLC0415 - heavy
+        from .judged_signals import can_evaluate  # noqa: PLC0415 - heavy
+        from .metrics import evaluate, unsteady  # noqa: PLC0415 - heavy
         from .tables import metric_rows  # noqa: PLC0415
 
         end = f", until {self.time[-1]:g} s" if len(self.time) else ""

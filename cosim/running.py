@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 from fmu_export.files import FilePath
 
-from .pendulum_export import export_units
-from .scenario import Scenario, build_system, load_located, remarks, rest_remarks, run_scenario
-from .system_export import export_system
+from .remarks import remarks_after, remarks_before, rest_remarks
+from .scenario import Scenario, load_located
+from .scenario_run import run_scenario
+from .scenario_system import build_system
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
@@ -50,14 +51,12 @@ def export(
 
     See Also
     --------
-    cosim.system_export.export_system, cosim.pendulum_export.export_units : with platforms and Python FMUs.
+    cosim.design_export.export_design : with platforms, Python FMUs, and the pendulum's parameter sets.
 
     """
-    from ihc_fmu.system import PENDULUM  # noqa: PLC0415 - heavy
+    from .design_export import export_design  # noqa: PLC0415 - heavy
 
-    if design.system.name == PENDULUM:
-        return export_units(design, output=Path(folder), changes=changes)
-    return export_system(design, Path(folder), changes)
+    return export_design(design, folder, changes)
 
 
 def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None, fmus: FilePath = "fmus") -> Result:
@@ -87,14 +86,15 @@ def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None,
     Warns
     -----
     UserWarning
-        For what is to be known of the run: start values that no certificate covers, a plant at rest, and the like.
+        For what is to be known of the run: start values that no certificate covers, a plant at rest, numbers that
+        overflow, and the like.
 
     """
     chosen, folder, place = _located(scenario, changes, fmus)
     system = build_system(chosen, place, folder)
-    _warn(remarks(system, chosen))
+    _warn(remarks_before(system, chosen))
     result = run_scenario(chosen, place, folder)
-    _warn(rest_remarks(result, system))
+    _warn(remarks_after(result, system))
     return result
 
 
@@ -148,9 +148,11 @@ def compare(
     chosen, folder, place = _located(scenario, changes, fmus)
     if laws is None:
         laws = [law for law in laws_of(chosen, place, folder) if law in LAWS]
-    _warn(remarks(build_system(chosen, place, folder), chosen))
-    (found,) = run_experiments([Experiment(chosen, folder, draws)], place, laws, workers)
-    return found
+    system = build_system(chosen, place, folder)
+    _warn(remarks_before(system, chosen))
+    (comparison,) = run_experiments([Experiment(chosen, folder, draws)], place, laws, workers)
+    _warn([*comparison.overflows(), *rest_remarks(next(iter(comparison.results.values())), system)])
+    return comparison
 
 
 def _located(

@@ -29,11 +29,15 @@ from .campaign import Job, Journal, Numbers, run_numbers
 from .draws import Chance, MeanEstimate, chance_of, change, drawn, mean, rms_change, root_mean_square
 from .errors import UserError
 from .experiments import UNSTEADY, check_outputs, laws_of
-from .metrics import QUANTITIES, MetricMeaning, evaluate, is_pendulum, kept_upright, quantities_of
+from .judged_signals import kept_upright
+from .metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities_of
+from .metrics import evaluate
 from .pendulum import is_controller
 from .plots import OTHERS, literal, save_figure
 from .results import Result
-from .scenario import Scenario, controller_values, evaluation, files, plant_values
+from .scenario import Scenario
+from .scenario_files import files
+from .scenario_system import controller_values, evaluation, plant_values
 
 ROLES = ("integral", "rms", "settling", "energy", "variation")
 """What can be tuned by: smaller is better."""

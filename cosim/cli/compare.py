@@ -54,7 +54,9 @@ def compare(
     Given results of `run` or `hil` instead, show them side by side.
     """
     from ..experiments import LAW, LAWS, Experiment, check_names, laws_of
-    from ..scenario import build_system, load_located, remarks
+    from ..remarks import remarks_before
+    from ..scenario import load_located
+    from ..scenario_system import build_system
 
     if laws is not None and vary is not None:
         raise UserError("compare takes --laws or --vary, not both")
@@ -75,7 +77,7 @@ def compare(
             raise UserError(f"--laws must be different ones of {', '.join(known)}, found {laws or ', '.join(names)!r}")
     check_names(names)
     compared = [chosen] if values is None else [chosen.changed({entry: value}) for value in values.values()]
-    say_notes(dict.fromkeys(note for one in compared for note in remarks(build_system(one, fmus, folder), one)))
+    say_notes(dict.fromkeys(note for one in compared for note in remarks_before(build_system(one, fmus, folder), one)))
     check_folder(output / chosen.name, names)
     run_and_write([Experiment(chosen, folder, draws, entry, values)], fmus, output, names, workers)
 
@@ -113,7 +115,8 @@ def run_and_write(
     """Compare the laws in each experiment; print what comes out, write it to folders named after the scenarios."""
     from ..experiments import run_experiments
     from ..plots import save_comparison
-    from ..scenario import build_system, rest_remarks
+    from ..remarks import rest_remarks
+    from ..scenario_system import build_system
 
     written: list[str] = []
     try:

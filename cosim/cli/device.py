@@ -39,7 +39,8 @@ def device(
     from ..hil.simulated import Board
     from ..hil.udp import Server, address_of, beyond_loopback
     from ..interrupts import second_ends
-    from ..scenario import build_system, load_scenario
+    from ..scenario import load_scenario
+    from ..scenario_system import build_system
 
     chosen, folder = load_scenario(scenario)
     chosen = chosen.changed(dict(assignments(change)))

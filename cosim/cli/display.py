@@ -226,7 +226,7 @@ def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
     from ..draws import change_text
-    from ..metrics import is_pendulum
+    from ..metric_meanings import is_pendulum
 
     q, linear, variation = tuning.quantities[tuning.measure], tuning.linear, tuning.chattering
     drawn = f", {linear.draws} draws; ± 95 % interval" if linear.draws > 1 else ""

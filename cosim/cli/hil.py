@@ -94,7 +94,9 @@ def hil(
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
     from ..hil.settings import Settings
-    from ..scenario import build_system, load_scenario, remarks
+    from ..remarks import remarks_before
+    from ..scenario import load_scenario
+    from ..scenario_system import build_system
 
     if on_fall not in ("swing-up", "stop"):
         raise UserError(f"--on-fall must be swing-up or stop, found {on_fall!r}")
@@ -108,7 +110,7 @@ def hil(
     system = build_system(chosen, fmus, folder, controller)
     component, plant = system.components
     signals = system.signals
-    say_notes(remarks(system, chosen))
+    say_notes(remarks_before(system, chosen))
     settings = Settings(
         rate=rate,
         duration=duration,
@@ -221,7 +223,7 @@ def _run(
 
 
 def _print_report(report: HardwareRun, path: Path) -> None:
-    from ..metrics import can_evaluate
+    from ..judged_signals import can_evaluate
     from ..plots import save_overview
 
     result, about = report.result, report.result.metadata["hil"]

@@ -80,10 +80,11 @@ def overlay(
 
 
 def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, begin: float, folder: Path) -> None:
-    from ..metrics import can_evaluate
+    from ..judged_signals import can_evaluate
     from ..overlay import compared, lay
     from ..plots import panels_of, save_comparison, save_figure
-    from ..scenario import build_system, rest_remarks
+    from ..remarks import remarks_after
+    from ..scenario_system import build_system
 
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
@@ -92,7 +93,7 @@ def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, b
         )
     if laid.left_out:
         say_notes([f"columns of {run} that no signal of the scenario has the name of: {', '.join(laid.left_out)}"])
-    say_notes(rest_remarks(laid.simulated, build_system(scenario, fmus, beside)))
+    say_notes(remarks_after(laid.simulated, build_system(scenario, fmus, beside)))
     both = {"measured": laid.measured, "simulation": laid.seen}
     title = f"{run.name} and the simulation of {scenario.name}"
     judged = can_evaluate(laid.measured)

@@ -37,9 +37,12 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from ..metrics import can_draw, can_evaluate, overflow
+    from ..judged_signals import can_draw, can_evaluate
+    from ..remarks import remarks_after, remarks_before
     from ..results import Interrupted, SimulationError
-    from ..scenario import build_system, load_located, remarks, rest_remarks, run_scenario
+    from ..scenario import load_located
+    from ..scenario_run import run_scenario
+    from ..scenario_system import build_system
 
     chosen, folder, fmus = load_located(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -54,7 +57,7 @@ def run(
     if plot:
         check_replaceable(path.with_suffix(".png"))
     system = build_system(chosen, fmus, folder)
-    say_notes(remarks(system, chosen))
+    say_notes(remarks_before(system, chosen))
     with progress() as bar:
         task = bar.add_task(chosen.name, total=None)
         try:
@@ -81,7 +84,7 @@ def run(
         earlier.unlink()
         console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
     warn_of_messages(result)
-    say_notes(rest_remarks(result, system))
+    say_notes(remarks_after(result, system))
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and can_draw(result):
         from ..plots import save_overview
@@ -89,7 +92,6 @@ def run(
         picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
         console.print(f"wrote {escaped(picture)}")
     if can_evaluate(result):
-        say_notes(filter(None, [overflow(result)]))
         print_metrics(result)
 
 

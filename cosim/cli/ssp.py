@@ -24,7 +24,8 @@ def ssp(
     Signals and disturbances have no place in it.
     """
     from ..master import Coupling
-    from ..scenario import build_system, load_located
+    from ..scenario import load_located
+    from ..scenario_system import build_system
     from ..ssp import SUFFIX, write
 
     chosen, folder, fmus = load_located(scenario, fmus)

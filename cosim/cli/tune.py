@@ -60,7 +60,10 @@ def tune(
 
     from ..campaign import Journal
     from ..pendulum import is_controller
-    from ..scenario import build_system, controller_values, load_located, remarks, with_tolerances
+    from ..remarks import remarks_before
+    from ..scenario import load_located
+    from ..scenario_run import with_tolerances
+    from ..scenario_system import build_system, controller_values
     from ..tuning import PURPOSE, WRITTEN_FILES, Grid, TuningProblem, save
     from ..tuning import tune as run_tuning
 
@@ -79,7 +82,7 @@ def tune(
     problem = TuningProblem(chosen, folder, fmus, found, measure, limit, draws)
     target = output or Path("results") / f"tune_{chosen.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
-    say_notes(remarks(build_system(chosen, fmus, folder), chosen))
+    say_notes(remarks_before(build_system(chosen, fmus, folder), chosen))
     problem = replace(problem, scenario=with_tolerances(chosen, fmus, folder))
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)

@@ -20,7 +20,7 @@ from ihc_fmu.pendulum.supervisor import Mode
 from ..errors import UserError
 from ..fmu import RECORDED, FmuError, Instance
 from ..interrupts import second_ends
-from ..metrics import STABILIZING
+from ..judged_signals import STABILIZING
 from ..native_loop import NativeLoop
 from ..results import Result, versions
 from ..signals import STOPPING

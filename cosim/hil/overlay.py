@@ -16,9 +16,9 @@ from ..errors import UserError
 from ..fmu_files import start_values_of
 from ..master import simulate
 from ..parameter_files import chosen
+from ..pendulum import WIRES
 from ..provenance import provenance
 from ..results import Result
-from ..scenario import WIRES
 from ..structure import Component, Signal, SystemStructure
 from .identify import Beginning, beginning
 from .replay import driven_inputs, driven_values

@@ -20,7 +20,7 @@ from plant_fmu.parameters import PARAMETER_SETS
 
 from ..campaign import Job, run_all
 from ..errors import UserError
-from ..metrics import kept_upright, takeovers, wrapped
+from ..judged_signals import kept_upright, takeovers, wrapped
 from ..results import Result
 from ..scenario import load_scenario
 

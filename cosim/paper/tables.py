@@ -14,7 +14,7 @@ import numpy as np
 from filing.files import write_file
 from filing.origin import WRITTEN
 
-from ..metrics import QUANTITIES
+from ..metric_meanings import QUANTITIES
 from . import printed
 from .claims import VARIANTS_OF_LAW, Claim, Found, Judge, Share, Theory, by_cell, margin, share_of_wins
 from .figures import sweep_median, sweep_runs, swing_up_pairs

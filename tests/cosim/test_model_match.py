@@ -13,8 +13,9 @@ import pytest
 from cosim import plant_as_wired
 from cosim.model_match import remarks
 from cosim.pendulum_export import Kind
-from cosim.scenario import Scenario, build_system
-from cosim.scenario import remarks as notes
+from cosim.remarks import remarks_before as notes
+from cosim.scenario import Scenario
+from cosim.scenario_system import build_system
 from cosim.system_export import export_system
 from fmu_export.archive import further_resources
 from fmu_export.errors import UserError

@@ -10,7 +10,9 @@ from cosim.campaign import Job, Journal, run_all
 from cosim.errors import UserError
 from cosim.fmu_files import describe
 from cosim.pendulum_export import export_units
-from cosim.scenario import Scenario, build_system, load_scenario, run_scenario
+from cosim.scenario import Scenario, load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from plant_fmu.interface import start_values
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet
 

@@ -20,9 +20,11 @@ from hypothesis import strategies as st
 from cosim.campaign import Journal
 from cosim.draws import change_text, drawn
 from cosim.errors import UserError
-from cosim.metrics import evaluate, kept_upright
+from cosim.judged_signals import kept_upright
+from cosim.metrics import evaluate
 from cosim.results import Result
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from cosim.tuning import (
     MEASURES,
     PURPOSE,

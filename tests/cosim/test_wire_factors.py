@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from cosim.model_match import remarks
-from cosim.scenario import Scenario, build_system
-from cosim.scenario import remarks as notes
+from cosim.remarks import remarks_before as notes
+from cosim.scenario import Scenario
+from cosim.scenario_system import build_system
 from cosim.system_export import export_system
 from cosim.wire_factors import Explanation, Wired, likeliest
 from fmu_export.errors import UserError

@@ -15,7 +15,8 @@ from cosim.cli.display import (
     show_table,
 )
 from cosim.experiments import Comparison, Draw
-from cosim.metrics import QUANTITIES, Metrics
+from cosim.metric_meanings import QUANTITIES
+from cosim.metrics import Metrics
 from cosim.paper.claims import Claim
 from cosim.scenario import Scenario
 from ihc_fmu.synthesis import Options, inverse_design

@@ -23,8 +23,9 @@ from cosim.hil.loop import ControllerFmu, Loop
 from cosim.hil.quanser import WATCHDOG, QuanserDevice
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, Board, SimulatedDevice
-from cosim.metrics import STABILIZING
-from cosim.scenario import build_system, load_scenario
+from cosim.judged_signals import STABILIZING
+from cosim.scenario import load_scenario
+from cosim.scenario_system import build_system
 
 T = 100
 """Tick of the event."""

@@ -16,7 +16,8 @@ from cosim.hil.loop import MOST_CAUGHT_UP, ControllerFmu, Loop, stop_signals, ti
 from cosim.hil.replay import replay
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, SimulatedDevice
-from cosim.scenario import build_system, run_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from tests.cosim.hil.rig import (
     Between,
     at_rest,

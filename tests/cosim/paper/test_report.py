@@ -24,7 +24,8 @@ from cosim.paper.claims import Claim, Judge
 from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
 from cosim.pendulum_export import export_units
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.synthesis import Options, inverse_design
 from tests.cosim.command import journal_rows
