@@ -29,7 +29,7 @@ from ihc_fmu.system import Quantity, System
 
 from .poles import alike, poles_text, sorted_poles
 from .unit_slips import nearest, slips
-from .wire_factors import Explanation, Wired, likeliest
+from .wire_factors import ComparedWire, Explanation, likeliest
 
 Array = np.ndarray
 
@@ -172,7 +172,7 @@ def fits(expected: Expected, plant: Seen) -> bool | None:
 
 
 def explained(
-    expected: Expected, plant: Seen, wires: Mapping[str, Sequence[Wired]], *, only_sizes: bool = False
+    expected: Expected, plant: Seen, wires: Mapping[str, Sequence[ComparedWire]], *, only_sizes: bool = False
 ) -> str | None:
     """Return what would make a model that does not fit that of the plant; None where nothing does that is tried.
 
@@ -188,7 +188,7 @@ def explained(
     return likeliest((one for one in found if not only_sizes or one.only_sizes), wires)
 
 
-def _known(quantity: Quantity, wires: Sequence[Wired]) -> dict[float, str]:
+def _known(quantity: Quantity, wires: Sequence[ComparedWire]) -> dict[float, str]:
     """Return sizes by which numbers are mistaken, by units or by the wires' factors, with the unit in words, else ""."""
     found = slips(quantity.unit)
     for size in (size for wire in wires for size in wire.suspected()):

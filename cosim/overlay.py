@@ -11,12 +11,12 @@ import numpy as np
 
 from fmu_export.files import FilePath
 
+from .coupling import Coupling
 from .errors import UserError
 from .evaluation import Evaluation, evaluation_in, pendulum_evaluation
 from .fmu_files import describe
 from .inputs import read_columns
 from .judged_signals import missing_signals, wrapped
-from .master import Coupling
 from .provenance import provenance
 from .results import Result
 from .scenario import Scenario

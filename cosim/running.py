@@ -18,7 +18,7 @@ from .scenario_system import build_system
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from .experiments import Comparison
+    from .comparison import Comparison
     from .results import Result
 
 
@@ -138,12 +138,7 @@ def compare(
         As `run`.
 
     """
-    from .experiments import (  # noqa: PLC0415 - heavy
-        LAWS,
-        Experiment,
-        laws_of,
-        run_experiments,
-    )
+    from .experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
 
     chosen, folder, place = _located(scenario, changes, fmus)
     if laws is None:

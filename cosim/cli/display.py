@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ihc_fmu.design import Design
 
-    from ..experiments import Comparison
+    from ..comparison import Comparison
     from ..paper.claims import Claim
     from ..results import Result
     from ..tuning import Outcome, Tuning

@@ -23,7 +23,7 @@ def ssp(
 
     Signals and disturbances have no place in it.
     """
-    from ..master import Coupling
+    from ..coupling import Coupling
     from ..scenario import load_located
     from ..scenario_system import build_system
     from ..ssp import SUFFIX, write

@@ -64,8 +64,9 @@ def tune(
     from ..scenario import load_located
     from ..scenario_run import with_tolerances
     from ..scenario_system import build_system, controller_values
-    from ..tuning import PURPOSE, WRITTEN_FILES, Grid, TuningProblem, save
+    from ..tuning import PURPOSE, Grid, TuningProblem
     from ..tuning import tune as run_tuning
+    from ..tuning_files import WRITTEN_FILES, save
 
     chosen, folder, fmus = load_located(scenario, fmus)
     chosen = chosen.changed(dict(assignments(change)))

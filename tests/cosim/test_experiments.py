@@ -9,9 +9,10 @@ import math
 import numpy as np
 import pytest
 
+from cosim.comparison import Comparison, Draw
 from cosim.draws import drawn
 from cosim.errors import UserError
-from cosim.experiments import Comparison, Draw, Experiment, run_experiments
+from cosim.experiments import Experiment, run_experiments
 from cosim.master import SimulationError
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics, evaluate

@@ -6,8 +6,8 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from cosim.comparison import Comparison, Draw
 from cosim.draws import MeanEstimate, change_text, estimate_text
-from cosim.experiments import Comparison, Draw
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics
 from cosim.results import Result

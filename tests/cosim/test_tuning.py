@@ -25,20 +25,8 @@ from cosim.metrics import evaluate
 from cosim.results import Result
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
-from cosim.tuning import (
-    MEASURES,
-    PURPOSE,
-    Grid,
-    Outcome,
-    Point,
-    Tuning,
-    TuningProblem,
-    _outcome,
-    _walk,
-    numbers,
-    save,
-    tune,
-)
+from cosim.tuning import MEASURES, PURPOSE, Grid, Outcome, Point, Tuning, TuningProblem, _outcome, _walk, numbers, tune
+from cosim.tuning_files import save
 from ihc_fmu.design import Design
 from tests.cosim.command import ended, finished, journal_rows, started
 

@@ -14,7 +14,7 @@ from cosim.cli.display import (
     print_results,
     show_table,
 )
-from cosim.experiments import Comparison, Draw
+from cosim.comparison import Comparison, Draw
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics
 from cosim.paper.claims import Claim
