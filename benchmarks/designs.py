@@ -23,8 +23,10 @@ from benchmarks.random_systems import Drawn, distance, drawn
 from benchmarks.recheck import Recheck, recheck
 from fmu_export.errors import UserError
 from ihc_fmu.design import Design
+from ihc_fmu.direct import direct_design
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.lmi import InfeasibleError
-from ihc_fmu.synthesis import Options, direct_design, inverse_design
+from ihc_fmu.options import Options
 
 METHODS: dict[str, Callable[..., Design]] = {"inverse": inverse_design, "direct": direct_design}
 SAME, ROUNDING = 1e-6, 1e-16

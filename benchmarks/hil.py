@@ -21,7 +21,8 @@ from cosim.hil.loop import Loop
 from cosim.hil.realtime import REFERENCE_MISSES, REFERENCE_TIME, undisturbed
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
-from cosim.hil.udp import UdpDevice, address_of
+from cosim.hil.udp import UdpDevice
+from cosim.hil.udp_messages import address_of
 from cosim.judged_signals import kept_upright
 from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result

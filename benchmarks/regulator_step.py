@@ -18,10 +18,10 @@ from fmu_export.native_unit import struct_initializer
 from ihc_fmu.block_form import block_form
 from ihc_fmu.design import Design
 from ihc_fmu.estimation import estimator
+from ihc_fmu.quantity import Quantity
 from ihc_fmu.regulator.interface import OUTPUTS, Shape
 from ihc_fmu.regulator.native_unit import NATIVE
 from ihc_fmu.regulator.start_values import LinearFilter, Regulator, design_regulator
-from ihc_fmu.system import Quantity
 
 SIZES = ((1, 1), (2, 1), (4, 1), (4, 2), (6, 2), (8, 1), (8, 4), (12, 4), (16, 1), (16, 8))
 COUNT = 2 * np.pi / 2048

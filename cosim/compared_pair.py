@@ -15,7 +15,7 @@ from fmu_export.errors import UserError
 from fmu_export.reading import read_text
 from ihc_fmu.design import DESIGN_FILE, Design
 from ihc_fmu.pendulum.interface import STATES
-from ihc_fmu.system import Quantity
+from ihc_fmu.quantity import Quantity
 from ihc_fmu.system import System as LinearSystem
 
 from . import pendulum, pendulum_match

@@ -25,7 +25,8 @@ from itertools import combinations, permutations, product
 
 import numpy as np
 
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.system import System
 
 from .poles import alike, poles_text, sorted_poles
 from .unit_slips import nearest, slips

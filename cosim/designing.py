@@ -11,20 +11,14 @@ import numpy as np
 
 from fmu_export.variables import did_you_mean
 from ihc_fmu.design import Design
+from ihc_fmu.direct import direct_design
 from ihc_fmu.integral import largest_mu
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.largest_rate import largest_alpha, largest_alpha_of
 from ihc_fmu.lmi import InfeasibleError
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.synthesis import (
-    SHARE_OF_LIMIT,
-    Choice,
-    Options,
-    chosen_options,
-    degrees,
-    direct_design,
-    inverse_design,
-    largest_alpha,
-    largest_alpha_of,
-)
+from ihc_fmu.synthesis import SHARE_OF_LIMIT, Choice, chosen_options, degrees
 from ihc_fmu.system import System
 
 from .design_export import check_exportable

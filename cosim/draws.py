@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ihc_fmu.system import QUIET
+from ihc_fmu.arrays import QUIET
 
 from .scenario import Scenario
 from .start_values import StartValue, StartValues

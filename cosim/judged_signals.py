@@ -8,8 +8,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from ihc_fmu.arrays import QUIET
 from ihc_fmu.pendulum.supervisor import Mode
-from ihc_fmu.system import QUIET
 
 from .errors import UserError
 from .evaluation import ACTING, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation

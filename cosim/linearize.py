@@ -89,6 +89,13 @@ def linear_model(
         that does not say enough.
     FmuError
         Where it fails at its start values.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> model = cosim.linear_model("fmus/arm_linear_plant.fmu", inputs=["u1"])
+    >>> model.A.round(6).tolist()
+    [[0.0, 1.0], [4.0, 0.0]]
     """
     plant = open_plant(Path(path), tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal

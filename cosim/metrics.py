@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ihc_fmu.system import QUIET
+from ihc_fmu.arrays import QUIET
 
 from .errors import UserError
 from .evaluation import ACTING, SHARE, TOLERANCE, Evaluation, evaluation_in
@@ -59,6 +59,17 @@ class Metrics:
         The numbers by name.
     quantities
         What they mean: symbol, unit, role.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> metrics = cosim.evaluate(cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0}))
+    >>> round(metrics.peak, 2), metrics.steady
+    (1.37, False)
+    >>> metrics.as_dict()["peak"] == metrics.peak
+    True
+    >>> metrics.quantities["peak"].heading
+    'peak |u1|'
     """
 
     values: Mapping[str, float]
@@ -173,6 +184,14 @@ def evaluate(result: Recording, tolerance: float | None = None, steady: float = 
     ------
     UserError
         For a result without the signals, or with fewer than two rows.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> result = cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> metrics = cosim.evaluate(result)
+    >>> print(f"{metrics.values['settling_time[plant.angle]']:.2f} s")
+    1.48 s
     """
     if len(result.time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(result.time)}")

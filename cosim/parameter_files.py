@@ -9,24 +9,30 @@ and so on, a key for each field of `QubeParameters`, in its unit; keys of fields
 
 from __future__ import annotations
 
-import sys
 from dataclasses import MISSING, asdict, fields
 from pathlib import Path
+from typing import Any
+
+from pydantic import ConfigDict, StrictBool, StrictFloat, StrictStr, create_model
 
 from filing.files import write_file
 from filing.origin import WRITTEN
-from fmu_export.errors import shown
 from fmu_export.files import FilePath, is_file
 from fmu_export.reading import read_toml
-from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet, QubeParameters, parameter_set
 
 from .errors import UserError
+from .typed import checked
 
 SUFFIX = ".toml"
 
-_NUMBERS = {f.name: f.default is MISSING for f in fields(QubeParameters)}
-"""The keys that hold numbers, and whether a file must have them."""
+_NUMBERS: dict[str, Any] = {
+    f.name: (StrictFloat, ... if f.default is MISSING else f.default) for f in fields(QubeParameters)
+}
+_File = create_model(
+    "_File", __config__=ConfigDict(extra="forbid"), source=(StrictStr, ...), back_emf=(StrictBool, ...), **_NUMBERS
+)
+"""What a file holds; the rules for the numbers are those of `QubeParameters`."""
 
 
 def load(path: FilePath) -> ParameterSet:
@@ -36,27 +42,16 @@ def load(path: FilePath) -> ParameterSet:
     rule.
     """
     path = Path(path)
-    data = read_toml(path, "parameter")
-    known = {"source": True, "back_emf": True, **_NUMBERS}
-    for key in data:
-        if key not in known:
-            raise UserError(f"{path}: there is no parameter {shown(key)}{did_you_mean(key, known)}")
-    missing = [key for key, required in known.items() if required and key not in data]
-    if missing:
-        raise UserError(f"{path}: {', '.join(missing)} missing; a parameter file has {', '.join(known)}")
-    if not isinstance(data["source"], str):
-        raise UserError(f"{path}: source must be a text, found {shown(data['source'])}")
-    if not isinstance(data["back_emf"], bool):
-        raise UserError(f"{path}: back_emf must be true or false, found {shown(data['back_emf'])}")
-    numbers = {key: _number(path, key, data[key]) for key in _NUMBERS if key in data}
+    entries = checked(_File, read_toml(path, "parameter"), path).model_dump()
+    source, back_emf = entries.pop("source"), entries.pop("back_emf")
     try:
-        parameters = QubeParameters(**numbers)
+        parameters = QubeParameters(**entries)
     except ValueError as error:
         raise UserError(f"{path}: {error}") from None
-    return ParameterSet(path.stem, parameters, data["source"], f"read from {path.name}", data["back_emf"])
+    return ParameterSet(path.stem, parameters, source, f"read from {path.name}", back_emf)
 
 
-def save(path: FilePath, chosen: ParameterSet) -> None:
+def save(path: FilePath, parameters: ParameterSet) -> None:
     """Write the numbers, the source and the back-EMF of a set; `load` reads them back to the last bit.
 
     The set's name and use are the file's. Raises UserError for a file that is not named *.toml.
@@ -66,8 +61,8 @@ def save(path: FilePath, chosen: ParameterSet) -> None:
     path = Path(path)
     if path.suffix != SUFFIX:
         raise UserError(f"a parameter set goes into a file named *{SUFFIX}, found {path}")
-    about = {"source": chosen.source, "back_emf": chosen.back_emf}
-    write_file(path, f"# {WRITTEN}\n" + tomli_w.dumps({**about, **asdict(chosen.parameters)}))
+    entries = {"source": parameters.source, "back_emf": parameters.back_emf, **asdict(parameters.parameters)}
+    write_file(path, f"# {WRITTEN}\n" + tomli_w.dumps(entries))
 
 
 def chosen(name_or_file: str, folder: FilePath | None = None) -> ParameterSet:
@@ -95,10 +90,3 @@ def check_name(name_or_file: str, entry: str = "parameter set") -> None:
     if not name_or_file.endswith(SUFFIX) and name_or_file not in PARAMETER_SETS:
         sets = ", ".join(PARAMETER_SETS)
         raise UserError(f"{entry} must be one of {sets} or a file *{SUFFIX}, found {name_or_file!r}")
-
-
-def _number(path: Path, key: str, value: object) -> float:
-    large = isinstance(value, int) and abs(value) > sys.float_info.max
-    if isinstance(value, bool) or not isinstance(value, int | float) or large:
-        raise UserError(f"{path}: {key} must be a number, found {shown(value)}")
-    return float(value)

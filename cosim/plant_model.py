@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.system import System
 
 from .errors import UserError
 
@@ -56,6 +57,16 @@ class LinearModel:
         How it was found, in words.
     notes
         What is to be known of it.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> model = cosim.linear_model("fmus/arm_linear_plant.fmu", inputs=["u1"])
+    >>> [str(quantity) for quantity in model.states], model.x_eq.tolist()
+    (['angle_true [rad]', 'rate_true [rad/s]'], [0.0, 0.0])
+    >>> system = model.system().with_lqr([1.0, 1.0], [1.0])
+    >>> system.name
+    'arm_linear_plant'
     """
 
     name: str

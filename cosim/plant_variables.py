@@ -10,7 +10,7 @@ from fmpy.model_description import ScalarVariable
 
 from fmu_export.errors import shown
 from fmu_export.variables import did_you_mean
-from ihc_fmu.system import Quantity
+from ihc_fmu.quantity import Quantity
 
 from .errors import UserError
 from .fmu import Instance

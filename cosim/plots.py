@@ -23,6 +23,16 @@ from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluat
 from .judged_signals import error_norm, given, set_point, wrapped
 from .recording import Recording
 
+
+class Picture(Figure):
+    """A figure that notebooks show, also those that have not imported pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        FigureCanvasAgg(self).print_png(buffer)
+        return buffer.getvalue()
+
+
 COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837", "SMC1": "#e08214", "SMC2": "#a6611a"}
 """Of each law, in every picture."""
 
@@ -159,7 +169,7 @@ def overview(result: Recording) -> Figure:
     has_norm = _has_norm(evaluation, [result])
     groups = evaluation.error_groups if len(evaluation.errors) > 1 else {}
     count = len(evaluation.errors) + len(groups) + len(evaluation.controls) + has_norm
-    figure = Figure(figsize=(9, 1.8 * max(count, 2)), layout="constrained")
+    figure = Picture(figsize=(9, 1.8 * max(count, 2)), layout="constrained")
     axes = iter(all_axes := figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     colour = COLOURS.get(law_of(result), COLOURS["IHC"])
     for axis in all_axes:
@@ -190,14 +200,14 @@ def panels_of(results: Mapping[str, Recording], names: Sequence[str]) -> Figure:
 
     Raises UserError for a signal that is not there.
     """
-    figure = Figure(figsize=(9, 1.8 * max(len(names), 2)), layout="constrained")
+    figure = Picture(figsize=(9, 1.8 * max(len(names), 2)), layout="constrained")
     axes = figure.subplots(len(names), 1, sharex=True, squeeze=False)[:, 0]
     shades = dict.fromkeys(results, COLOURS["LC"]) if len(results) == 1 else colours(results)
     for axis, name in zip(axes, names, strict=True):
         for of, result in results.items():
             axis.plot(result.time, result[name], color=shades[of], lw=1.0, label=literal(of))
         unit = next(iter(results.values())).units.get(name, NO_UNIT)
-        axis.set_ylabel(label(ControlSignal(signal=name, unit=unit)))
+        axis.set_ylabel(label(ControlSignal(signal=name, unit=unit)).replace(".", ".\n", 1))  # the FMU, its variable
         axis.margins(x=0)
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("time [s]")
@@ -262,7 +272,7 @@ def _draw_error(
 def _errors(results: Mapping[str, Recording], evaluation: Evaluation) -> Figure:
     """Return what is judged of each result: on the left the whole run, on the right its end, each with its own scale."""
     count, ribbon = len(evaluation.errors), evaluation.mode is not None
-    figure = Figure(figsize=(11, 2.9 * count + 1.0), layout="constrained")
+    figure = Picture(figsize=(11, 2.9 * count + 1.0), layout="constrained")
     ratios = [*[8] * count, *[0.7 * len(results)] * ribbon]
     panels = figure.subplots(count + ribbon, 2, sharex="col", height_ratios=ratios, width_ratios=[3, 2], squeeze=False)
     shades = colours(results)
@@ -325,7 +335,7 @@ def _controls(results: Mapping[str, Recording], evaluation: Evaluation) -> Figur
 
 def _with_ribbon(panels: int, results: Mapping[str, Recording]) -> tuple[Figure, Sequence[Any], Any]:
     """Return a figure, its panels, and, where results have modes, a narrow axis below them that shows each one's."""
-    figure = Figure(figsize=(9, 2.6 * panels + 1.6 if panels > 1 else 4.6), layout="constrained")
+    figure = Picture(figsize=(9, 2.6 * panels + 1.6 if panels > 1 else 4.6), layout="constrained")
     modes = any(evaluation_in(result).mode is not None for result in results.values())
     ratios = [*[8] * panels, *[0.7 * len(results)] * modes]
     axes = list(figure.subplots(panels + modes, 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0])

@@ -59,6 +59,18 @@ class Result(Recording):
     ----------
     time, signals, units, metadata
         As of `Recording`.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> result = cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> result.units["plant.angle"], float(result["plant.angle"][0])
+    ('rad', 0.1)
+    >>> result.to_dataframe().shape, len(result.plot("plant.angle").axes)
+    ((3001, 11), 1)
+    >>> result.save("tilted.csv")
+    >>> bool((cosim.Result.load("tilted.csv").time == result.time).all())
+    True
     """
 
     def plot(self, *names: str) -> Figure:
@@ -194,6 +206,16 @@ class SimulationError(RuntimeError):
         When [s].
     instance
         Which FMU.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> plant = cosim.Component("plant", "fmus/arm_linear_plant.fmu", {"angle_0": 1e300})
+    >>> try:
+    ...     cosim.simulate(cosim.SystemStructure([plant]), step=0.1, duration=100.0)
+    ... except cosim.SimulationError as error:
+    ...     print(f"{error.instance} at {error.time:.1f} s, {len(error.result.time)} rows")
+    plant at 9.1 s, 92 rows
     """
 
     def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
@@ -208,6 +230,18 @@ class Interrupted(KeyboardInterrupt):
     ----------
     result
         Everything recorded until then.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> plant = cosim.Component("plant", "fmus/arm_linear_plant.fmu")
+    >>> def press(done, steps):
+    ...     raise KeyboardInterrupt
+    >>> try:
+    ...     cosim.simulate(cosim.SystemStructure([plant]), 1e-3, 1.0, engine="fmpy", progress=press)
+    ... except cosim.Interrupted as interrupted:
+    ...     print(f"{interrupted.result.time[-1]:.3f} s")
+    0.256 s
     """
 
     def __init__(self, result: Result) -> None:

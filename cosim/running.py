@@ -53,6 +53,12 @@ def export(
     --------
     cosim.design_export.export_design : with platforms, Python FMUs, and the pendulum's parameter sets.
 
+    Examples
+    --------
+    >>> import cosim, ihc_fmu
+    >>> arm = ihc_fmu.System(A=[[0, 1], [4, 0]], B=[[0], [1]], K=[[-8, -4]], name="arm")
+    >>> [path.name for path in cosim.export(ihc_fmu.synthesize(arm), "exported")]
+    ['arm_linear_plant.fmu', 'arm_controller.fmu', 'arm.ssp']
     """
     from .design_export import export_design  # noqa: PLC0415 - heavy
 
@@ -89,6 +95,12 @@ def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None,
         For what is to be known of the run: start values that no certificate covers, a plant at rest, numbers that
         overflow, and the like.
 
+    Examples
+    --------
+    >>> import cosim
+    >>> result = cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> bool(abs(result["plant.angle"][-1]) < 1e-4)
+    True
     """
     chosen, folder, place = _located(scenario, changes, fmus)
     system = build_system(chosen, place, folder)
@@ -137,6 +149,12 @@ def compare(
     UserWarning
         As `run`.
 
+    Examples
+    --------
+    >>> import cosim
+    >>> comparison = cosim.compare("fmus/arm.ssp", ["LC", "IHC"], {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> [f"{comparison.value(law, 'peak').value:.2f}" for law in ("LC", "IHC")]
+    ['0.80', '1.37']
     """
     from .experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
 

@@ -143,6 +143,16 @@ class Scenario(_Section):
         The connections; None: by equal names of plant and controller.
     run, plant, controller, components, disturbance, signals, evaluate, record
         The sections of the file, see the reference of scenarios.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> scenario = cosim.Scenario(plant={"fmu": "arm_linear_plant.fmu"}, controller={"fmu": "arm_controller.fmu"})
+    >>> longer = scenario.changed({"run.duration": 2.0, "plant.start.angle_0": 0.1})
+    >>> "duration = 2.0" in longer.to_toml()
+    True
+    >>> float(cosim.run(longer, fmus="fmus").time[-1])
+    2.0
     """
 
     name: PlainName = "scenario"
@@ -256,6 +266,13 @@ def load_scenario(name: FilePath) -> tuple[Scenario, Path]:
     ------
     UserError
         Names the file, the entry, the rule and the value.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> scenario, folder = cosim.load_scenario("fmus/arm.ssp")
+    >>> scenario.name, scenario.run.duration
+    ('arm', 10.0)
     """
     name, path = os.fspath(name), Path(name)
     if path.suffix == ssp.SUFFIX:

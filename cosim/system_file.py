@@ -13,7 +13,7 @@ from filing.origin import WRITTEN
 from filing.ownership import check_replaceable
 from fmu_export.files import FilePath, is_file
 from fmu_export.reading import parse_toml, read_text
-from ihc_fmu.system import System, from_dict
+from ihc_fmu.system import System
 
 from .errors import UserError
 from .plant_model import LinearModel, sample_time_for
@@ -32,7 +32,7 @@ def write(path: FilePath, model: LinearModel, comment: str = "") -> System:
     check_replaceable(path)
     text = "\n".join((_above(path, system), LINE, *(f"# {line}" for line in comment.splitlines()), _below(system)))
     try:
-        found = from_dict(parse_toml(text, path))
+        found = System.from_dict(parse_toml(text, path))
     except UserError as error:
         raise UserError(f"what stands above the line in {path} does not fit the model: {error}") from None
     write_file(path, text)

@@ -19,8 +19,9 @@ import numpy as np
 from fmu_export.files import FilePath
 from fmu_export.variables import Value
 from ihc_fmu.design import Design
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.start_values import design_values
-from ihc_fmu.synthesis import Options, inverse_design
 
 from .campaign import Job, Journal, Numbers, run_numbers
 from .comparison import UNSTEADY

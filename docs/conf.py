@@ -21,6 +21,7 @@ from sphinx.util import logging
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
+from notebooks import page  # noqa: E402 - beside this file
 from public_names import listing  # noqa: E402 - beside this file
 
 project = "qube-ihc"
@@ -28,7 +29,8 @@ author = "The qube-ihc developers"
 version = release = importlib.metadata.version("qube-ihc")
 
 root_doc = "docs/index"
-include_patterns = ["docs/*.md", "examples/README.md", "CONTRIBUTING.md", "CHANGELOG.md"]
+include_patterns = ["docs/*.md", "examples/README.md", "examples/notebooks/*.ipynb", "CONTRIBUTING.md", "CHANGELOG.md"]
+source_suffix = {".md": "markdown", ".ipynb": "markdown"}
 exclude_patterns = [".*", "build", "dist", "results", "fmus", "src", "cosim", "tests", "benchmarks"]
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
 
@@ -79,7 +81,7 @@ html_math_renderer = "mathml"
 LISTS = ("docs/index", "docs/tutorial", "docs/how_to", "docs/explanation", "docs/reference")
 """Pages that list others: the links that begin the items of their lists are the navigation, in that order."""
 
-ITEM = re.compile(r"^- \[[^\n]+?\]\(([^)#\n]+)\.md\)", re.MULTILINE)
+ITEM = re.compile(r"^- \[[^\n]+?\]\(([^)#\n]+)\.(?:md|ipynb)\)", re.MULTILINE)
 
 
 def add_navigation(app: Sphinx, docname: str, source: list[str]) -> None:
@@ -88,6 +90,12 @@ def add_navigation(app: Sphinx, docname: str, source: list[str]) -> None:
         entries = [f"{'' if target.startswith('../') else 'docs/'}{target}" for target in ITEM.findall(source[0])]
         tree = "\n".join("/" + entry.removeprefix("../") for entry in entries)
         source[0] += f"\n```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+
+
+def add_notebook(app: Sphinx, docname: str, source: list[str]) -> None:
+    """Make a page of a notebook, with the outputs that it holds."""
+    if docname.startswith("examples/notebooks/"):
+        source[0] = page(source[0])
 
 
 PUBLIC_NAMES = re.compile(r"^<!-- public names: (\w+) -->$", re.MULTILINE)
@@ -124,6 +132,7 @@ def visit_math(self: Any, node: nodes.math) -> None:
 
 def setup(app: Sphinx) -> dict[str, bool]:
     """Add what this file defines."""
+    app.connect("source-read", add_notebook)
     app.connect("source-read", add_navigation)
     app.connect("source-read", add_public_names)
     app.connect("source-read", hide_marks)

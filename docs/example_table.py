@@ -21,8 +21,10 @@ from cosim.experiments import Experiment, run_experiments
 from cosim.scenario import Scenario, load_scenario
 from cosim.system_export import export_system, exported_files
 from ihc_fmu.design import Design
-from ihc_fmu.synthesis import chosen_options, inverse_design
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.synthesis import chosen_options
+from ihc_fmu.system import System
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 LAWS = ("LC", "IHC")

@@ -47,3 +47,21 @@ def test_examples_print_what_they_say(name, tmp_path, monkeypatch):
     found = doctest.testmod(importlib.import_module(name))
     assert found.failed == 0
     assert found.attempted > 0
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The folder that the examples of cosim run in, with an arm's FMUs."""
+    folder = tmp_path_factory.mktemp("examples")
+    matrices = {"A": [[0, 1], [4, 0]], "B": [[0], [1]], "K": [[-8, -4]]}
+    arm = ihc_fmu.System(**matrices, states=("angle [rad]", "rate [rad/s]"), name="arm")
+    cosim.export(ihc_fmu.synthesize(arm), folder / "fmus")
+    return folder
+
+
+@pytest.mark.parametrize("name", [name for name in cosim.__all__ if name != "UserError"])
+def test_a_public_name_of_cosim_has_an_example_that_runs(name, exported, monkeypatch):
+    monkeypatch.chdir(exported)
+    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(cosim, name), name, module=False, globs={})
+    assert example.examples
+    assert doctest.DocTestRunner().run(example).failed == 0

@@ -50,3 +50,11 @@ def test_no_modules_import_each_other():
 def test_libraries_do_not_know_the_command_line():
     beyond = {name: {m for m in needs if m.startswith("cosim.cli")} for name, needs in graph().items()}
     assert [name for name, needs in beyond.items() if needs and not name.startswith("cosim.cli")] == ["cosim.__main__"]
+
+
+def test_the_device_and_the_paper_are_known_to_their_commands_only():
+    """Libraries can do without either, and neither knows the other."""
+    for part in ("cosim.hil", "cosim.paper"):
+        users = [name for name, needs in graph().items() if any(f"{m}.".startswith(f"{part}.") for m in needs)]
+        assert f"cosim.cli.{part.split('.')[1]}" in users
+        assert [name for name in users if not f"{name}.".startswith((f"{part}.", "cosim.cli."))] == []

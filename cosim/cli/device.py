@@ -37,7 +37,8 @@ def device(
     from ..hil.loop import stop_signals
     from ..hil.realtime import undisturbed
     from ..hil.simulated import Board
-    from ..hil.udp import Server, address_of, beyond_loopback
+    from ..hil.udp_messages import address_of, beyond_loopback
+    from ..hil.udp_server import Server
     from ..interrupts import second_ends
     from ..scenario import load_scenario
     from ..scenario_system import build_system

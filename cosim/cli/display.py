@@ -9,7 +9,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from traceback import print_exception
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 
@@ -21,12 +21,24 @@ if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
     from ..comparison import Comparison
-    from ..paper.claims import Claim
+    from ..paper.verdicts import Claim
     from ..results import Result
     from ..tuning import Outcome, Tuning
 
-console = Console(emoji=False)
-problems = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
+
+class Output(Console):
+    """An output stream; colours also where `FORCE_COLOR` wants them, but what moves, and the cursor, on terminals only."""
+
+    def __init__(self, stream: TextIO, **options: Any) -> None:
+        super().__init__(emoji=False, force_interactive=None if stream.isatty() else False, **options)
+
+    def show_cursor(self, show: bool = True) -> bool:
+        """Show or hide the cursor; return whether there is one."""
+        return self.is_interactive and super().show_cursor(show)
+
+
+console = Output(sys.stdout)
+problems = Output(sys.stderr, stderr=True, soft_wrap=True, highlight=False)
 
 NO_FILE = "no file was written"
 
@@ -199,7 +211,7 @@ def staged_progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def progress() -> Progress:
-    """Return a progress display; it vanishes when it is done."""
+    """Return a progress display, for terminals; it vanishes when it is done."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     columns = (
@@ -208,7 +220,9 @@ def progress() -> Progress:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, TimeRemainingColumn(), console=problems, transient=True)
+    return Progress(
+        *columns, TimeRemainingColumn(), console=problems, transient=True, disable=not problems.is_interactive
+    )
 
 
 def print_design(found: Design, reasons: Sequence[str] = ()) -> None:

@@ -149,7 +149,8 @@ def _device(
 
         return QuanserDevice(text, watchdog=watchdog, identifier=identifier)
     if text.startswith("udp://"):
-        from ..hil.udp import UdpDevice, address_of
+        from ..hil.udp import UdpDevice
+        from ..hil.udp_messages import address_of
 
         return UdpDevice(address_of(text.removeprefix("udp://")), real_time=not lockstep)
     raise UserError(

@@ -13,9 +13,10 @@ from ..fmu import FmuError
 from ..interrupts import second_ends
 from ..structure import Component, Signal
 from . import checks, driven
+from .controller import ControllerFmu
 from .device import LED_IDLE, Device, DeviceError
 from .log import percentiles
-from .loop import READ_TIMEOUT, ControllerFmu, stop_signals
+from .loop import READ_TIMEOUT, stop_signals
 from .quanser import QuanserDevice, sdk
 from .realtime import undisturbed
 from .settings import Settings, Stopped

@@ -1,14 +1,11 @@
-"""Parameters of the plant from the log of a run: multiple shooting on the measured angles.
+"""Parameters of the plant from the log of a run, with confidence intervals: multiple shooting on the measured angles.
 
-The log is cut into segments, short since the upright equilibrium is unstable. In a segment s the angles q follow from the
-parameters p, the initial state x_s and the voltage by eq. (5); measured minus simulated angles are the residuals,
+The log is cut into segments, short since the upright equilibrium is unstable. With the residuals r_s of `shooting`,
 
-    r_s = y_s - q(p, x_s) - (0, b),      minimize  sum_s |r_s|^2  over p, b and all x_s,
+    minimize  sum_s |r_s|^2  over the parameters p, the bias b and the initial states of all segments,
 
-with b [rad] a constant error of the measured delta: where in its count the encoder was zeroed. (That of theta is part of the
-initial states, since nothing depends on theta.) The initial states are eliminated: for each p and b a few Gauss-Newton steps
-find those of all segments at once, 4 unknowns each. What is left is a problem in p and b, with the Jacobian projected onto
-the complement of the columns of the initial states (variable projection; Golub and Pereyra, 1973), however long the log is.
+where b [rad] is where in its count the encoder of delta was zeroed. (That of theta is part of the initial states, since
+nothing depends on theta.) What is left when the initial states are eliminated is a problem in p and b, however long the log.
 
 What the log does not hold is taken as absent: disturbances, the motor's inductance, a delay of the measurement.
 """
@@ -17,65 +14,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from fmu_export.variables import did_you_mean
-from plant_fmu.dynamics import Motor, motor
-from plant_fmu.integrator import substeps
 from plant_fmu.parameters import ParameterSet, QubeParameters
-from rotary_pendulum.equation import Coefficients, solve
-from rotary_pendulum.runge_kutta import rk4_step
 
 from ..errors import UserError
 from ..provenance import provenance
 from ..results import Result
+from .segments import LEAST_SEGMENTS, cut
+from .shooting import MOST_STEPS, Shooting
 
 Array = np.ndarray
 
-ANGLES = ("plant.theta_encoder", "plant.delta_encoder")
-COMMANDED = "controller.voltage"
-VOLTAGES = ("hil.applied_voltage", COMMANDED)
-"""Where the voltage over the step that ended at a row is: the first that the log has."""
-
-ZERO_SCALES = {"D_p": 1e-5, "D_r": 1e-4, "T_r": 1e-4}
-"""Scales of the parameters that may be 0, where the start is smaller [N.m.s/rad, N.m.s/rad, N.m]."""
-BIAS_SCALE = 1e-3
-"""Scale of the constant error of the measured delta [rad]."""
-SMALLEST = 0.1
-"""First guess of a parameter whose start is smaller than this in its scale."""
-LOWEST = 0.01
-"""Lower bound of the parameters that must be positive, in their start values."""
-
-SOLVER_STEP = 1e-3
-"""Longest Runge-Kutta step [s]."""
-STATE_STEPS = np.array([1e-6, 1e-6, 1e-5, 1e-5])
-"""Differences of the initial states for the Jacobian [rad, rad/s]."""
-VOLTAGE_STEP = 0.01
-"""Difference of the voltage for the residuals' test [V]."""
-PARAMETER_STEP = 1e-5
-"""Difference of a parameter for the Jacobian, in its scale."""
-FIRST_GUESS = 0.03
-"""What the first guess of the initial states looks at [s]."""
-CONVERGED = 1e-6
-"""The initial states are found when a step would lower each segment's sum of squares by less than this share of it."""
 BIAS_FOUND = 1e-3
 """Step of the bias below which it is found, in its scale."""
-MOST_STEPS = 20
-"""Gauss-Newton steps for the initial states."""
 TOLERANCE = 1e-5
 """Relative change of the sum of squares, and of the parameters, at which the search ends."""
 
-LARGEST = 1e9
-"""Times [s], angles [rad] and voltages [V] of a log are smaller."""
-LEAST_POINTS = 8
-"""Points of a segment."""
-LEAST_SEGMENTS = 4
-LEAST_ROWS = 0.5
-"""A segment with gaps is used where it has this share of its rows."""
-LEAST_MOTION = 0.05
-"""One of the angles must move by this, or there is nothing to identify [rad]."""
 SINGULAR = 1e-8
 """Eigenvalue of the normalized J'J below which the log says nothing of a combination of parameters."""
 INVOLVED = 1e-3
@@ -151,7 +108,7 @@ def identify(
     from scipy.optimize import least_squares  # noqa: PLC0415 - slow to import
 
     _check_names(names)
-    problem = _Problem(_read(result, segment), start, names)
+    problem = Shooting(cut(result, segment), start, names)
     trials = 0
 
     def residuals(z: Array) -> Array:
@@ -166,7 +123,7 @@ def identify(
         raise UserError(f"the log cannot be simulated with the set {start.name}; is it the log of this plant?")
     rms_before = problem.rms_without_bias()
     try:
-        found = least_squares(
+        solution = least_squares(
             residuals,
             problem.first,
             problem.jacobian,  # type: ignore[arg-type] # a function may stand here
@@ -177,8 +134,8 @@ def identify(
         )
     except np.linalg.LinAlgError:
         raise UserError(f"no parameters near the set {start.name} fit the log; is it the log of this plant?") from None
-    estimates = problem.estimates(found.x)
-    score, disturbance = problem.disturbance(found.x)
+    estimates = _estimates(problem, solution.x)
+    score, disturbance = problem.disturbance(solution.x)
     disturbed = score > DISTURBED_SCORE and disturbance > DISTURBED_VOLTAGE
     if disturbed:
         estimates = [
@@ -188,7 +145,7 @@ def identify(
     named = ", ".join(names)
     fitted = ParameterSet(
         name=f"{start.name}_identified",
-        parameters=problem.parameters(found.x),
+        parameters=problem.parameters(solution.x),
         source=f"{named} identified from {_name(result)}; the rest: {start.source}",
         use="the plant that a log shows",
         back_emf=start.back_emf,
@@ -198,9 +155,9 @@ def identify(
         estimates=dict(zip(names, estimates, strict=False)),
         bias=estimates[-1],
         rms_before=rms_before,
-        rms_after=problem.rms(problem.residuals(found.x)),
+        rms_after=problem.rms(problem.residuals(solution.x)),
         segments=len(problem.seen),
-        samples=int(np.count_nonzero(problem.log.seen)),
+        samples=int(np.count_nonzero(problem.segments.seen)),
         disturbance=disturbance,
         disturbed=disturbed,
     )
@@ -227,10 +184,10 @@ def beginning(result: Result, plant: ParameterSet, segment: float = 0.25) -> Beg
     short, lacks signals, is not finite, has a gap at its beginning or cannot be simulated.
     """
     span = float(result.time[-1] - result.time[0]) if len(result.time) else 0.0
-    log = _read(result, min(segment, span / (LEAST_SEGMENTS + 1)), least_motion=0.0)
-    if log.begins[0] != 0:
+    segments = cut(result, min(segment, span / (LEAST_SEGMENTS + 1)), least_motion=0.0)
+    if segments.begins[0] != 0:
         raise UserError("the log must be without a long gap at its beginning")
-    problem = _Problem(log, plant, ())
+    problem = Shooting(segments, plant, ())
     z = np.zeros(1)
     for _ in range(MOST_STEPS):
         r, by_bias = problem.residuals(z), problem.jacobian(z)[:, 0] if problem.solved else np.zeros(1)
@@ -259,273 +216,17 @@ def _name(result: Result) -> str:
     return f"a log of {provenance(result).scenario.name}, {result.time[-1] - result.time[0]:g} s"
 
 
-# The log
-
-
-@dataclass(frozen=True)
-class _Log:
-    """S segments of n points on a grid of the log's period [s].
-
-    angles [rad] of shape (n, 2, S), 0 where `seen`, of shape (n, S), says that the log has no row; voltage [V] of shape
-    (n - 1, S), held from each point to the next; begins, of shape (S,): the segments' first points in the log.
-    """
-
-    period: float
-    angles: Array
-    seen: Array
-    voltage: Array
-    begins: Array
-
-
-def _read(result: Result, segment: float, least_motion: float = LEAST_MOTION) -> _Log:
-    """Return the log cut into segments of `segment` [s]; a rest at the end, and segments that are mostly gaps, are left out.
-
-    A row after a gap has the voltage of all the time since the row before it.
-    """
-    angles, voltage = _signals(result)
-    period, points = _grid(np.asarray(result.time, dtype=float))
-    n = round(segment / period)
-    if n < LEAST_POINTS:
-        least = LEAST_POINTS * period
-        raise UserError(f"a segment must have at least {LEAST_POINTS} periods, {least:g} s, found {segment:g} s")
-    count = (points[-1] + 1) // n
-    seen = np.isin(np.arange(count * n), points).reshape(count, n)
-    used = np.mean(seen, axis=1) >= LEAST_ROWS
-    if np.count_nonzero(used) < LEAST_SEGMENTS:
-        raise UserError(
-            f"the log must have at least {LEAST_SEGMENTS} segments of {segment:g} s without long gaps, found "
-            f"{np.count_nonzero(used)}"
-        )
-    motion = np.max(np.ptp(angles, axis=0))
-    if motion < least_motion:
-        raise UserError(f"an angle must move by {least_motion:g} rad, or nothing is to be seen, found {motion:.3g} rad")
-    row = np.searchsorted(points, np.arange(count * n))  # at the point, or the first after it
-    at = np.where(seen[..., None], angles[row].reshape(count, n, 2), 0.0)
-    held = voltage[row].reshape(count, n)
-    begins = n * np.flatnonzero(used)
-    return _Log(period, at[used].transpose(1, 2, 0), seen[used].T, held[used, 1:].T, begins)
-
-
-def _signals(result: Result) -> tuple[Array, Array]:
-    """Return the angles [rad] of shape (rows, 2) and the voltage [V] over the step that ended at each row."""
-    voltage_name = next((name for name in VOLTAGES if name in result.signals), VOLTAGES[-1])
-    for name in (*ANGLES, voltage_name):
-        if name not in result.signals:
-            raise UserError(f"the identification needs {name}; the log has {', '.join(result.signals) or 'no signals'}")
-    about = provenance(result)
-    if about.every not in (None, 1):
-        raise UserError(f"the identification needs every row, found a log with every = {about.every}")
-    angles = np.column_stack([result[name] for name in ANGLES]).astype(float)
-    voltage = np.asarray(result[voltage_name], dtype=float)
-    for name, values in (
-        ("time", result.time),
-        (ANGLES[0], angles[:, 0]),
-        (ANGLES[1], angles[:, 1]),
-        (voltage_name, voltage),
-    ):
-        if not np.all(np.abs(values) < LARGEST):
-            raise UserError(f"the identification needs finite numbers below {LARGEST:g}, found others in {name}")
-    if voltage_name == COMMANDED and about.order == "parallel":
-        voltage = np.concatenate([voltage[:1], voltage[:-1]])  # a row then has the voltage of the next step
-    return angles, voltage
-
-
-def _grid(time: Array) -> tuple[float, Array]:
-    """Return the period [s], the shortest step between two rows, and each row's number of periods since the first."""
-    steps = np.diff(time)
-    if not len(steps) or np.min(steps) <= 0.0:
-        raise UserError("the log must have at least two rows, with increasing times")
-    period = float(np.min(steps))
-    points = np.cumsum(np.concatenate([[0], np.rint(steps / period).astype(int)]))
-    if np.max(np.abs(steps / period - np.diff(points))) > 0.1:
-        raise UserError(f"rows must be whole periods apart, found steps that are no multiples of {period:g} s")
-    return float((time[-1] - time[0]) / points[-1]), points
-
-
-# The simulation
-
-
-class _Models(NamedTuple):
-    """P pendulums and their motors; each number is an array of shape (P, 1)."""
-
-    pendulums: Coefficients
-    motors: Motor
-
-
-def _models(sets: Sequence[QubeParameters], back_emf: bool) -> _Models:
-    def stacked(rows: Sequence[Sequence[float]]) -> Any:
-        return np.array(rows).T[..., None]
-
-    motors = [motor(p, back_emf=back_emf) for p in sets]
-    return _Models(Coefficients(*stacked([p.coefficients for p in sets])), Motor(*stacked(motors)))
-
-
-def _simulate(models: _Models, x: Array, log: _Log) -> Array:
-    """Return the angles [rad] at the grid's points, of shape (n, 2, P, S), from initial states x of shape (4, P, S).
-
-    P pendulums by the classical Runge-Kutta method, the motor static, the voltage held.
-    """
-    c, m = models
-    per_volt: Any = m.k_m / m.R_m
-    braking: Any = m.k_m * m.k_e / m.R_m
-
-    def rate(x: Any) -> Any:
-        _, delta, v, w = x
-        return v, w, *solve(c, np.sin(delta), np.cos(delta), v, w, drive - braking * v, 0.0)
-
-    count = substeps(log.period, SOLVER_STEP)
-    h = log.period / count
-    angles = np.empty((len(log.angles), *x[:2].shape))
-    angles[0] = x[:2]
-    state: Any = tuple(x)
-    for k, voltage in enumerate(log.voltage, start=1):
-        drive = per_volt * voltage
-        for _ in range(count):
-            state = rk4_step(rate, state, h)
-        angles[k] = state[:2]
-    return angles
-
-
-def _first_states(log: _Log) -> Array:
-    """Return initial states of shape (4, S) from a parabola through each segment's first FIRST_GUESS seconds."""
-    n = max(LEAST_POINTS - 2, min(len(log.seen), round(FIRST_GUESS / log.period)))
-    weight = log.seen[:n].T[..., None]
-    basis = weight * np.vander(log.period * np.arange(n), 3, increasing=True)
-    found = np.linalg.pinv(basis) @ log.angles[:n].transpose(2, 0, 1)
-    return np.concatenate([found[:, 0].T, found[:, 1].T])
-
-
-# The fit
-
-
-class _Problem:
-    """Residuals and projected Jacobian as functions of z: the named parameters, then b, each in its scale.
-
-    Rows are (segment, point, angle), with 0 where the log has no row. What `_solve` finds for the last z is kept: r of shape
-    (S, 2 n), G of shape (S, 2 n, len(z)), the angles' derivatives by z, and orthonormal columns Q of shape (S, 2 n, 4) that
-    span those by the initial states.
-    """
-
-    def __init__(self, log: _Log, start: ParameterSet, names: Sequence[str]) -> None:
-        self.log, self.start, self.names = log, start, tuple(names)
-        values = np.array([float(getattr(start.parameters, name)) for name in names])
-        self.scales = np.append(np.maximum(values, [ZERO_SCALES.get(name, 0.0) for name in names]), BIAS_SCALE)
-        self.at_start = np.append(values, 0.0) / self.scales
-        self.first = np.append(np.maximum(self.at_start[:-1], SMALLEST), 0.0)
-        self.lowest = np.array([0.0 if name in ZERO_SCALES else LOWEST for name in names] + [-np.inf])
-        self.seen = np.repeat(log.seen.T, 2, axis=1)
-        self.states, self.slope = _first_states(log), np.zeros((len(self.seen), 4, len(self.scales)))
-        self.z = self.at_start.copy()
-        self.solved = False
-
-    def parameters(self, z: Array) -> QubeParameters:
-        """Return the start's parameters with the named ones from z."""
-        values = (z * self.scales).tolist()
-        return replace(self.start.parameters, **dict(zip(self.names, values, strict=False)))
-
-    def residuals(self, z: Array) -> Array:
-        """Return the residuals [rad] with the best initial states, as one vector."""
-        self._solve(z)
-        return self.r.ravel()
-
-    def jacobian(self, z: Array) -> Array:
-        """Return the residuals' derivatives by z, orthogonal to those by the initial states."""
-        self._solve(z)
-        return -(self.G - self.Q @ (np.swapaxes(self.Q, 1, 2) @ self.G)).reshape(-1, len(z))
-
-    def rms(self, r: Array) -> float:
-        """Return the RMS of residuals [rad] over the rows that the log has."""
-        return float(np.sqrt(np.sum(r * r) / np.count_nonzero(self.seen)))
-
-    def can_start(self) -> bool:
-        """Whether the residuals with the start set are finite."""
-        self.residuals(self.at_start)
-        return bool(self.solved)
-
-    def rms_without_bias(self) -> float:
-        """Return the RMS of the residuals [rad] with the start set, the initial states and b the best."""
-        r = self.residuals(self.at_start)
-        by_bias = self.jacobian(self.at_start)[:, -1]
-        return self.rms(r - by_bias * (by_bias @ r) / (by_bias @ by_bias))
-
-    def estimates(self, z: Array) -> list[FittedValue]:
-        """Return the estimates at the solution z: of the parameters and of b."""
-        J = self.jacobian(z).reshape(*self.seen.shape, len(z))
-        half, known = _half_widths(J, self.r)
-        found = []
-        for value, width, scale, told, lowest in zip(z, half, self.scales, known, self.lowest, strict=True):
-            least = -np.inf if lowest == -np.inf else 0.0
-            low, high = max(value - width, least), value + width
-            identifiable = bool(told and high - low <= WIDE * max(abs(value), 1.0))
-            found.append(FittedValue(float(value * scale), float(low * scale), float(high * scale), identifiable))
-        return found
-
-    def disturbance(self, z: Array) -> tuple[float, float]:
-        """Return (score, RMS [V]) of a constant voltage in each segment, a test of the residuals at the solution z.
-
-        With D_s the angles' derivative by a voltage in segment s, orthogonal to those by its initial state, the voltage is
-        d_s = D_s' r_s / |D_s|^2; white residuals of variance v give E d_s^2 |D_s|^2 / v = 1, whose mean is the score.
-        """
-        self._solve(z)
-        models = _models([self.parameters(z)], self.start.back_emf)
-        q = [
-            _simulate(models, self.states[:, None], replace(self.log, voltage=self.log.voltage + shift))
-            for shift in (0.0, VOLTAGE_STEP)
-        ]
-        D = ((q[1] - q[0])[:, :, 0].transpose(2, 0, 1).reshape(self.seen.shape) / VOLTAGE_STEP) * self.seen
-        D = D - (self.Q @ (np.swapaxes(self.Q, 1, 2) @ D[..., None]))[..., 0]
-        weight = np.maximum(np.sum(D * D, axis=1), 1e-300)
-        d = np.sum(D * self.r, axis=1) / weight
-        squares = d * d * weight
-        variance = max(self.rms(self.r) ** 2, 1e-300)
-        return float(np.mean(squares) / variance), float(np.sqrt(np.sum(squares) / np.sum(weight)))
-
-    def _linear(self, z: Array, states: Array) -> tuple[Array, Array, Array]:
-        """Return residuals and the angles' derivatives by the initial states and by z, by differences."""
-        count = len(self.names)
-        shifts = np.hstack([np.zeros((4, 1)), np.diag(STATE_STEPS), np.zeros((4, count))])
-        shifted = [z + PARAMETER_STEP * row for row in np.eye(count, len(z))]
-        sets = [self.parameters(row) for row in [z] * 5 + shifted]
-        with np.errstate(all="ignore"):  # what is not finite is seen where the residuals are compared
-            q = _simulate(_models(sets, self.start.back_emf), states[:, None] + shifts[..., None], self.log)
-            q = np.ascontiguousarray(q.transpose(3, 0, 1, 2)).reshape(*self.seen.shape, -1)
-            y = self.log.angles - np.array([0.0, z[-1] * self.scales[-1]])[:, None]
-            r = (y.transpose(2, 0, 1).reshape(self.seen.shape) - q[..., 0]) * self.seen
-            slopes = (q[..., 1:] - q[..., :1]) * self.seen[..., None]
-        by_bias = np.tile([0.0, self.scales[-1]], self.seen.shape[1] // 2) * self.seen
-        G = np.concatenate([slopes[..., 4:] / PARAMETER_STEP, by_bias[..., None]], axis=2)
-        return r, slopes[..., :4] / STATE_STEPS, G
-
-    def _solve(self, z: Array) -> None:
-        """Find the best initial states for z by Gauss-Newton steps, shorter where a segment's residuals grow.
-
-        The steps begin where the last states lead along their slope by z.
-        """
-        if self.solved and np.array_equal(z, self.z):
-            return
-        states = self.states + (self.slope @ (z - self.z)).T
-        r, X, G = self._linear(z, states)
-        share = np.ones(len(r))
-        for _ in range(MOST_STEPS):
-            if not np.all(np.isfinite(r)):
-                break
-            Q, R = np.linalg.qr(X)
-            down = (np.swapaxes(Q, 1, 2) @ r[..., None])[..., 0]
-            cost = np.sum(r * r, axis=1)
-            if np.all(np.sum(down * down, axis=1) <= CONVERGED * cost):
-                break
-            trial = states + share * np.linalg.solve(R, down[..., None])[..., 0].T
-            tried = self._linear(z, trial)
-            better = np.sum(tried[0] * tried[0], axis=1) <= cost
-            share = np.where(better, np.minimum(2.0 * share, 1.0), share / 4.0)
-            states = np.where(better, trial, states)
-            r = np.where(better[:, None], tried[0], r)
-            X, G = (np.where(better[:, None, None], new, old) for new, old in zip(tried[1:], (X, G), strict=True))
-        self.r = r
-        if np.all(np.isfinite(r)):
-            self.Q, R = np.linalg.qr(X)
-            self.slope = -np.linalg.solve(R, np.swapaxes(self.Q, 1, 2) @ G)
-            self.G, self.states, self.z, self.solved = G, states, z.copy(), True
+def _estimates(problem: Shooting, z: Array) -> list[FittedValue]:
+    """Return the estimates at the solution z: of the parameters and of b."""
+    J = problem.jacobian(z).reshape(*problem.seen.shape, len(z))
+    half, known = _half_widths(J, problem.r)
+    values = []
+    for value, width, scale, told, lowest in zip(z, half, problem.scales, known, problem.lowest, strict=True):
+        least = -np.inf if lowest == -np.inf else 0.0
+        low, high = max(value - width, least), value + width
+        identifiable = bool(told and high - low <= WIDE * max(abs(value), 1.0))
+        values.append(FittedValue(float(value * scale), float(low * scale), float(high * scale), identifiable))
+    return values
 
 
 def _half_widths(J: Array, r: Array) -> tuple[Array, Array]:

@@ -14,8 +14,8 @@ from ..interrupts import second_ends
 from ..provenance import Provenance, provenance
 from ..results import Result, SimulationError
 from ..structure import Component
+from .controller import ControllerFmu
 from .driven import names_of
-from .loop import ControllerFmu
 
 MEASURED = ("plant.theta_encoder", "plant.delta_encoder")
 

@@ -15,9 +15,9 @@ from ..metric_meanings import QUANTITIES
 from ..plots import COLOURS, DELTA, OTHERS, THETA, Q, angle, save_figure
 from ..results import Result
 from . import printed
-from .claims import Found, Share, margin
 from .study import COMPARED, GAINS, Study
 from .variants import sweep_name
+from .verdicts import Runs, Share, margin
 
 PALETTE = COLOURS
 ORDER = ("SMC1", "SMC2", "LC", "IHC")
@@ -29,7 +29,7 @@ Pictures = Mapping[tuple[float, str], Result]
 """The reference runs by gain and controller."""
 
 
-def save_all(folder: Path, pictures: Pictures, found: Found, study: Study, shares: Sequence[tuple[str, Share]]) -> None:
+def save_all(folder: Path, pictures: Pictures, runs: Runs, study: Study, shares: Sequence[tuple[str, Share]]) -> None:
     """Write every figure to `folder`."""
     plain = {law: pictures[0, law] for law in ORDER}
     save_figure(_figure_3(plain), folder / "figure_3.png", "Figure 3: angles of arm and pendulum")
@@ -37,8 +37,8 @@ def save_all(folder: Path, pictures: Pictures, found: Found, study: Study, share
     save_figure(_figure_5(plain), folder / "figure_5.png", "Figure 5: control signal")
     save_figure(_figure_6(pictures), folder / "figure_6.png", "Figure 6: |q| with artificial perturbation")
     save_figure(_shares(shares), folder / "shares.png", "Share of draws in which the IHC is better than the LC")
-    save_figure(_chattering(found, study), folder / "chattering.png", "What lowering a_min brings, and costs")
-    save_figure(_swing_ups(found), folder / "swing_ups.png", "The margin of Table I over random swing-ups")
+    save_figure(_chattering(runs, study), folder / "chattering.png", "What lowering a_min brings, and costs")
+    save_figure(_swing_ups(runs), folder / "swing_ups.png", "The margin of Table I over random swing-ups")
 
 
 def _figure_3(results: Mapping[str, Result]) -> Figure:
@@ -130,15 +130,15 @@ def _shares(shares: Sequence[tuple[str, Share]]) -> Figure:
     return figure
 
 
-def _chattering(found: Found, study: Study) -> Figure:
+def _chattering(runs: Runs, study: Study) -> Figure:
     chains = dict.fromkeys(variant.about.removeprefix("IHC ") for variant in study.sweep.values())
-    found = sweep_runs(found)
+    runs = sweep_runs(runs)
     figure = Figure(figsize=(10, 7), layout="constrained")
     panels = figure.subplots(2, len(chains), sharex=True, sharey="row", squeeze=False)
     for column, chain in enumerate(chains):
         for name, axis in zip(("integral_q2", "voltage_variation"), panels[:, column], strict=True):
             for step, colour in zip(study.size.sample_times, STEP_COLOURS, strict=False):
-                values = [sweep_median(found, chain, a, step, name) for a in study.size.a_mins]
+                values = [sweep_median(runs, chain, a, step, name) for a in study.size.a_mins]
                 axis.plot(study.size.a_mins, values, "o-", ms=3, lw=1, color=colour, label=f"{step * 1e3:g} ms")
             axis.grid(alpha=0.3)
         panels[0, column].set_title(chain, fontsize="medium")
@@ -152,23 +152,23 @@ def _chattering(found: Found, study: Study) -> Figure:
     return figure
 
 
-def sweep_runs(found: Found) -> Found:
+def sweep_runs(runs: Runs) -> Runs:
     """Return the few runs of the sweep among all."""
-    return {key: numbers for key, numbers in found.items() if key.experiment == "chattering"}
+    return {key: numbers for key, numbers in runs.items() if key.experiment == "chattering"}
 
 
-def sweep_median(found: Found, chain: str, a_min: float, step: float, name: str) -> float:
+def sweep_median(runs: Runs, chain: str, a_min: float, step: float, name: str) -> float:
     """Return the median of a number over the draws of one point of the sweep; a lost pendulum counts as infinite."""
     variant = sweep_name(chain, a_min)
-    keys = [key for key in found if key.experiment == "chattering" and key.variant == variant and key.step == step]
-    median = float(np.median([counted(found[key], name) for key in keys]))
+    keys = [key for key in runs if key.experiment == "chattering" and key.variant == variant and key.step == step]
+    median = float(np.median([counted(runs[key], name) for key in keys]))
     return median if np.isfinite(median) else np.nan
 
 
-def _swing_ups(found: Found) -> Figure:
+def _swing_ups(runs: Runs) -> Figure:
     figure = Figure(figsize=(9, 5), layout="constrained")
     axis = figure.subplots()
-    pairs = swing_up_pairs(found)
+    pairs = swing_up_pairs(runs)
     near = [abs(lc["integral_q2"] / printed.LMSE[0]["LC"] - 1.0) < 0.1 for _, lc, _ in pairs]
     for inside, colour, label in ((False, "0.7", "all"), (True, COLOURS["IHC"], "LMSE of the LC within 10 % of 11.23")):
         chosen = [pair for pair, flag in zip(pairs, near, strict=True) if flag is inside]
@@ -185,12 +185,12 @@ def _swing_ups(found: Found) -> Figure:
     return figure
 
 
-def swing_up_pairs(found: Found) -> list[tuple[int, Mapping[str, float], Mapping[str, float]]]:
+def swing_up_pairs(runs: Runs) -> list[tuple[int, Mapping[str, float], Mapping[str, float]]]:
     """Return (draw, numbers with LC, numbers with IHC) of the random swing-ups that both laws kept upright."""
     pairs = []
-    for key in found:
+    for key in runs:
         if key.experiment == "swing-ups" and key.variant == COMPARED[0]:
-            ihc = found[key._replace(variant=COMPARED[1])]
-            if found[key].get("kept") and ihc.get("kept"):
-                pairs.append((key.draw, found[key], ihc))
+            ihc = runs[key._replace(variant=COMPARED[1])]
+            if runs[key].get("kept") and ihc.get("kept"):
+                pairs.append((key.draw, runs[key], ihc))
     return pairs

@@ -17,8 +17,8 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from filing.files import staging, write_file
+from ihc_fmu.largest_rate import largest_alpha
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.synthesis import largest_alpha
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import parameter_set
 
@@ -28,10 +28,11 @@ from ..fmu_files import describe
 from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
 from . import figures, printed, tables
-from .claims import Claim, Judge, Theory
+from .claims import Judge, Theory
 from .gains import K_LIN, A, B, gain_readings, norm_readings
 from .readings import readings
 from .study import COMPARED, GAINS, PURPOSE, REFERENCE, Key, Study, numbers, scenario_name
+from .verdicts import Claim
 
 HERE = Path(__file__).parent
 

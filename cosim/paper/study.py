@@ -17,10 +17,11 @@ import numpy as np
 
 from filing.files import write_file
 from ihc_fmu.design import Design
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.pendulum.start_values import default_design
-from ihc_fmu.synthesis import Options, inverse_design
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 

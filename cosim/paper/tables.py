@@ -1,92 +1,26 @@
-"""The tables: each once, as CSV with exact numbers, as Markdown and for the HTML report."""
+"""The study's tables, each from the numbers of the runs or from the claims."""
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from filing.files import write_file
-from filing.origin import WRITTEN
-
 from ..metric_meanings import QUANTITIES
 from . import printed
-from .claims import VARIANTS_OF_LAW, Claim, Found, Judge, Share, Theory, by_cell, margin, share_of_wins
+from .claims import VARIANTS_OF_LAW, Judge, Theory
 from .figures import sweep_median, sweep_runs, swing_up_pairs
 from .gains import poles_text
 from .readings import Reading
 from .study import COMPARED, GAINS, REFERENCE, Key, Study
-
-Cell = str | float | int | bool | None
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column: heading (with its unit), name in the CSV, digits of numbers when shown."""
-
-    heading: str
-    name: str
-    digits: int = 4
+from .table import Cell, Column, Table
+from .verdicts import Claim, Runs, Share, by_cell, margin, share_of_wins
 
 
 def _metric(name: str) -> Column:
     """Return the column of a metric."""
     return Column(QUANTITIES[name].heading, name)
-
-
-@dataclass(frozen=True)
-class Table:
-    """Rows under columns; `name` is the files', `title` the reader's, `note` says what decides the numbers."""
-
-    name: str
-    title: str
-    note: str
-    columns: tuple[Column, ...]
-    rows: Sequence[Sequence[Cell]]
-
-    def save(self, folder: Path) -> None:
-        """Write NAME.csv and NAME.md."""
-        write_file(folder / f"{self.name}.md", f"<!-- {WRITTEN} -->\n\n{self.markdown()}")
-        self.save_csv(folder)
-
-    def save_csv(self, folder: Path) -> None:
-        """Write NAME.csv."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([column.name for column in self.columns])
-        writer.writerows([["" if cell is None else cell for cell in row] for row in self.rows])
-        write_file(folder / f"{self.name}.csv", text.getvalue())
-
-    def markdown(self) -> str:
-        """Return the table as Markdown, with its title and note."""
-        lines = [f"## {self.title}", "", self.note, ""]
-        lines.append("| " + " | ".join(_plain(column.heading) for column in self.columns) + " |")
-        lines.append("|" + "---|" * len(self.columns))
-        lines += ["| " + " | ".join(_plain(text) for text in row) + " |" for row in self.shown()]
-        return "\n".join(lines) + "\n"
-
-    def shown(self) -> list[list[str]]:
-        """Return the cells as a reader sees them."""
-        return [
-            [_shown(cell, column.digits) for cell, column in zip(row, self.columns, strict=True)] for row in self.rows
-        ]
-
-
-def _plain(text: str) -> str:
-    return text.replace("|", "\\|")
-
-
-def _shown(cell: Cell, digits: int) -> str:
-    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
-        return "–"
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    return f"{cell:.{digits}g}" if isinstance(cell, float) else str(cell)
 
 
 def claims_table(claims: Sequence[Claim], name: str = "claims", title: str = "Every claim and its verdict") -> Table:
@@ -138,9 +72,9 @@ def lmse_table(judge: Judge, gains: Sequence[int], name: str, title: str) -> Tab
                 said, lc = printed.LMSE[gain][law], printed.LMSE[gain]["LC"]
                 ours = judge.value(variant, "integral_q2", gain)
                 drawn = [k for k in judge.cells.get(("swing-up", *REFERENCE, gain), []) if k.variant == variant]
-                upright = [k for k in drawn if judge.found[k].get("kept")]
-                both = [k for k in upright if judge.found[_lc(k)].get("kept")]
-                over = [margin(judge.found[k]["integral_q2"], judge.found[_lc(k)]["integral_q2"]) for k in both]
+                upright = [k for k in drawn if judge.runs[k].get("kept")]
+                both = [k for k in upright if judge.runs[_lc(k)].get("kept")]
+                over = [margin(judge.runs[k]["integral_q2"], judge.runs[_lc(k)]["integral_q2"]) for k in both]
                 rows.append(
                     [
                         gain,
@@ -149,7 +83,7 @@ def lmse_table(judge: Judge, gains: Sequence[int], name: str, title: str) -> Tab
                         ours,
                         margin(said, lc),
                         margin(ours, judge.value("LC", "integral_q2", gain)),
-                        _median([judge.found[k]["integral_q2"] for k in upright]),
+                        _median([judge.runs[k]["integral_q2"] for k in upright]),
                         _median(over),
                         len(upright),
                         len(drawn),
@@ -206,7 +140,7 @@ def beyond_table(judge: Judge) -> Table:
         _metric("voltage_variation"),
     )
     names = [column.name for column in columns[2:]]
-    variants = list(dict.fromkeys(key.variant for key in judge.found if key.experiment == "reference"))
+    variants = list(dict.fromkeys(key.variant for key in judge.runs if key.experiment == "reference"))
     rows = [[gain, v, *(judge.value(v, name, gain) for name in names)] for gain in GAINS for v in variants]
     note = "Single runs at the paper's step. KF: the six-state Kalman filter in place of the velocity filter."
     return Table("controllers", "All controllers, with those beyond the paper", note, columns, rows)
@@ -215,7 +149,7 @@ def beyond_table(judge: Judge) -> Table:
 RANKINGS = (("integral_q2", "LMSE"), ("steady_rms", "steady RMS"))
 
 
-def shares_table(found: Found) -> Table:
+def shares_table(runs: Runs) -> Table:
     """Return in which share of the draws the IHC beats the others, in every cell."""
     columns = (
         Column("experiment", "experiment"),
@@ -234,13 +168,13 @@ def shares_table(found: Found) -> Table:
         Column("other upright", "kept_other"),
     )
     rows = []
-    for cell, keys in ranking_cells(found).items():
+    for cell, keys in ranking_cells(runs).items():
         for other in COMPARED:
             if other == "IHC":
                 continue
             for name, measure in RANKINGS:
-                share = share_of_wins(found, keys, "IHC", other, name)
-                upright = [sum(bool(found[k].get("kept")) for k in keys if k.variant == v) for v in ("IHC", other)]
+                share = share_of_wins(runs, keys, "IHC", other, name)
+                upright = [sum(bool(runs[k].get("kept")) for k in keys if k.variant == v) for v in ("IHC", other)]
                 low, high = share.interval
                 rows.append(
                     [
@@ -266,10 +200,10 @@ def shares_table(found: Found) -> Table:
     return Table("shares", "In which share of the draws the IHC is better", note, columns, rows)
 
 
-def ranking_cells(found: Found) -> dict[tuple[str, str, float, float], list[Key]]:
+def ranking_cells(runs: Runs) -> dict[tuple[str, str, float, float], list[Key]]:
     """Return the keys of the draws by (experiment, set, sample time, gain)."""
     ranked = ("swing-up", "shipped", "tilt", "onset")
-    return {cell: keys for cell, keys in by_cell(found).items() if cell[0] in ranked}
+    return {cell: keys for cell, keys in by_cell(runs).items() if cell[0] in ranked}
 
 
 def readings_table(readings: Sequence[Reading]) -> Table:
@@ -290,7 +224,7 @@ def readings_table(readings: Sequence[Reading]) -> Table:
     return Table("lmse_readings", "What LMSE may mean", note, columns, rows)
 
 
-def onset_table(found: Found, judge: Judge) -> Table:
+def onset_table(runs: Runs, judge: Judge) -> Table:
     """Return what the disturbance does when it acts from the first moment, beside the reference's reading."""
     columns = (
         Column("G", "gain"),
@@ -305,8 +239,8 @@ def onset_table(found: Found, judge: Judge) -> Table:
     for gain in GAINS[2:]:
         for law, variants in VARIANTS_OF_LAW.items():
             for variant in variants:
-                keys = [k for k in found if k.experiment == "onset" and k.gain == gain and k.variant == variant]
-                kept = [found[k]["integral_q2"] for k in keys if found[k].get("kept")]
+                keys = [k for k in runs if k.experiment == "onset" and k.gain == gain and k.variant == variant]
+                kept = [runs[k]["integral_q2"] for k in keys if runs[k].get("kept")]
                 ours = judge.value(variant, "integral_q2", gain)
                 rows.append([gain, variant, printed.LMSE[gain][law], ours, _median(kept), len(kept), len(keys)])
     note = (
@@ -316,7 +250,7 @@ def onset_table(found: Found, judge: Judge) -> Table:
     return Table("onset", "When the disturbance begins", note, columns, rows)
 
 
-def swing_ups_table(found: Found) -> Table:
+def swing_ups_table(runs: Runs) -> Table:
     """Return how the margin of Table I depends on the swing-up."""
     columns = (
         Column("swing-ups", "which"),
@@ -328,7 +262,7 @@ def swing_ups_table(found: Found) -> Table:
         Column("90 % quantile [%]", "high", 3),
         Column("largest |θ| after capture, median [rad]", "arm_peak", 3),
     )
-    pairs = swing_up_pairs(found)
+    pairs = swing_up_pairs(runs)
     said = printed.LMSE[0]["LC"]
     groups = {
         "all": pairs,
@@ -352,7 +286,7 @@ def swing_ups_table(found: Found) -> Table:
     return Table("swing_ups", "How the swing-up decides the margin of Table I", note, columns, rows)
 
 
-def chattering_table(found: Found, study: Study) -> Table:
+def chattering_table(runs: Runs, study: Study) -> Table:
     """Return the sweep over a_min, sample time and measurement chain."""
     columns = (
         Column("IHC", "chain"),
@@ -366,14 +300,14 @@ def chattering_table(found: Found, study: Study) -> Table:
     )
     chains = dict.fromkeys(variant.about.removeprefix("IHC ") for variant in study.sweep.values())
     names = ("integral_q2", "steady_rms", "voltage_variation")
-    found = sweep_runs(found)
+    runs = sweep_runs(runs)
     rows = []
     for chain in chains:
         for step in study.size.sample_times:
-            linear = sweep_median(found, chain, 1.0, step, "voltage_variation")
+            linear = sweep_median(runs, chain, 1.0, step, "voltage_variation")
             for a_min in study.size.a_mins:
-                values = [sweep_median(found, chain, a_min, step, name) for name in names]
-                energy = sweep_median(found, chain, a_min, step, "energy")
+                values = [sweep_median(runs, chain, a_min, step, name) for name in names]
+                energy = sweep_median(runs, chain, a_min, step, "energy")
                 rows.append([chain, round(step * 1e3, 6), a_min, *values, values[2] / linear, energy])
     note = (
         "From a tilt of 0.1 rad, medians over draws of the encoders' offsets, no noise. Variation: total variation of the "
@@ -430,18 +364,18 @@ def gains_tables(theory: Theory, runs: Mapping[str, Mapping[str, float]]) -> tup
     )
 
 
-def draws_table(found: Found) -> Table:
+def draws_table(runs: Runs) -> Table:
     """Return every run's numbers."""
-    names = list(dict.fromkeys(name for numbers in found.values() for name in numbers))
+    names = list(dict.fromkeys(name for numbers in runs.values() for name in numbers))
     columns = tuple(Column(name, name) for name in (*Key._fields, *names))
-    rows = [[*key, *(numbers.get(name, math.nan) for name in names)] for key, numbers in found.items()]
+    rows = [[*key, *(numbers.get(name, math.nan) for name in names)] for key, numbers in runs.items()]
     return Table("runs", "Every run", "", columns, rows)
 
 
-def ranking_names(found: Found) -> list[tuple[str, Share]]:
+def ranking_names(runs: Runs) -> list[tuple[str, Share]]:
     """Return the share of draws in which the IHC's LMSE is below the LC's, by the name of the cell."""
     shares = []
-    for (experiment, parameters, step, gain), keys in ranking_cells(found).items():
+    for (experiment, parameters, step, gain), keys in ranking_cells(runs).items():
         name = f"{experiment}, {parameters}, {step * 1e3:g} ms, G = {gain:g}"
-        shares.append((name, share_of_wins(found, keys, "IHC", "LC", "integral_q2")))
+        shares.append((name, share_of_wins(runs, keys, "IHC", "LC", "integral_q2")))
     return shares

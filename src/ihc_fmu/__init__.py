@@ -30,10 +30,14 @@ if TYPE_CHECKING:
     from .certificate import Certificate, CertificateError, norm_of, settling_time_bound
     from .controller import Controller
     from .design import Design
+    from .direct import direct_design
+    from .inverse import inverse_design
+    from .largest_rate import largest_alpha
     from .lmi import InfeasibleError
     from .options import Options
-    from .synthesis import Choice, chosen_options, direct_design, inverse_design, largest_alpha, synthesize
-    from .system import Quantity, System
+    from .quantity import Quantity
+    from .synthesis import Choice, chosen_options, synthesize
+    from .system import System
 
     __version__: str
 
@@ -63,17 +67,14 @@ _HOMES = {
     "ihc_fmu.certificate": ("Certificate", "CertificateError", "norm_of", "settling_time_bound"),
     "ihc_fmu.controller": ("Controller",),
     "ihc_fmu.design": ("Design",),
+    "ihc_fmu.direct": ("direct_design",),
+    "ihc_fmu.inverse": ("inverse_design",),
+    "ihc_fmu.largest_rate": ("largest_alpha",),
     "ihc_fmu.lmi": ("InfeasibleError",),
     "ihc_fmu.options": ("Options",),
-    "ihc_fmu.synthesis": (
-        "Choice",
-        "chosen_options",
-        "direct_design",
-        "inverse_design",
-        "largest_alpha",
-        "synthesize",
-    ),
-    "ihc_fmu.system": ("Quantity", "System"),
+    "ihc_fmu.quantity": ("Quantity",),
+    "ihc_fmu.synthesis": ("Choice", "chosen_options", "synthesize"),
+    "ihc_fmu.system": ("System",),
 }
 
 

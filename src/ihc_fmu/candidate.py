@@ -9,10 +9,9 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
+from .arrays import QUIET, Array
 from .block_form import BlockForm
-from .system import QUIET, System
-
-Array = np.ndarray
+from .system import System
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from fmu_export.errors import UserError
 
 from .homogeneity import homogeneous_norm, norm_polynomial
-from .system import vector
+from .quantity import vector
 
 if TYPE_CHECKING:
     from .candidate import Candidate

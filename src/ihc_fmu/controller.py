@@ -28,11 +28,11 @@ from fmu_export.variables import Interface, Value, did_you_mean
 from .design import Design
 from .estimation import estimator
 from .observer import homogeneous_observer
+from .quantity import vector
 from .regulator.interface import INTERFACE, MODES, OUTPUTS, numbered
 from .regulator.start_values import LinearFilter, Regulator, design_regulator
 from .regulator.unit import HomogeneousControllerUnit
 from .sampled_unit import FAULTS
-from .system import vector
 
 Array = np.ndarray
 

@@ -15,13 +15,12 @@ from fmu_export.errors import UserError, shown
 from fmu_export.files import FilePath
 from fmu_export.reading import parse_json, read_text
 
+from .arrays import QUIET, check_numbers, matrix
 from .candidate import Candidate
 from .certificate import Certificate, CertificateError, certify
 from .html import html_table
 from .integral import IntegralAction, integral_action
-from .system import LARGEST, PENDULUM, QUIET, from_dict
-
-Array = np.ndarray
+from .system import PENDULUM, System
 
 LARGEST_SHOWN = 4
 """States of a design up to which its P is shown: larger ones push the certificate out of view."""
@@ -211,16 +210,11 @@ class Design(Candidate):
         if missing or unknown:
             raise UserError(f"a design has missing {sorted(missing)} and unknown {shown(sorted(unknown))} entries")
         given = data["system"] if data["format"] == FORMAT else {name: data[name] for name in model}
-        system = from_dict(given)
+        system = System.from_dict(given)
         if data["format"] == FORMAT_1 and system.n == ORDER_1:
             system = system.changed(name=PENDULUM)
-        if not _is_numbers(data["P"], 2):
-            raise UserError(f"P must be a list of rows of numbers, all of one length, found {shown(data['P'])}")
-        return cls(
-            system,
-            np.array(data["P"], dtype=float),
-            **{name: _entry(name, data[name]) for name in _SCALARS if name in data},
-        )
+        P = matrix("P", check_numbers("P", data["P"], 2))
+        return cls(system, P, **{name: _entry(name, data[name]) for name in _SCALARS if name in data})
 
     @classmethod
     def load(cls, path: FilePath) -> Design:
@@ -261,17 +255,7 @@ def _entry(name: str, value: object) -> Any:
         if not isinstance(value, str):
             raise UserError(f"method must be a text, found {shown(value)}")
         return value
-    if not _is_numbers(value, 0):
-        raise UserError(f"{name} must be a number, found {shown(value)}")
-    return value
-
-
-def _is_numbers(value: object, levels: int) -> bool:
-    if not levels:
-        return not isinstance(value, bool) and isinstance(value, int | float) and abs(value) < LARGEST
-    if not isinstance(value, list) or not all(_is_numbers(v, levels - 1) for v in value):
-        return False
-    return levels < 2 or len({len(row) for row in value}) <= 1
+    return check_numbers(name, value, 0)
 
 
 def _rows(matrix: Iterable[Iterable[float]]) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
+from .arrays import QUIET
 from .design import Design
 from .kalman import NONE, KalmanDesign, Noise, kalman_filter
-from .system import QUIET
 
 Array = np.ndarray
 

@@ -26,6 +26,10 @@ from fmu_export.errors import UserError
 
 Array = np.ndarray
 
+Say = Callable[[str], object] | None
+"""Is told how a long search goes, a sentence each time."""
+SEARCH_TIME = 300.0
+"""Longest time for one search of a design [s]."""
 SOLVER_TIME = 120.0
 """Longest time for one semidefinite program [s]."""
 RANGE = 1e3
@@ -169,7 +173,7 @@ class Limit:
     """How long a search may take, and who wants to know of it: called with a sentence."""
 
     seconds: float
-    say: Callable[[str], object] | None = None
+    say: Say = None
     end: float = 0.0
 
     def __post_init__(self) -> None:

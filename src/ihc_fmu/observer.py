@@ -29,8 +29,9 @@ from .block_form import BlockForm, block_form, scaling
 from .design import Design
 from .estimation import estimator, noise
 from .observer_proof import prove
+from .observer_wish import ObserverWish
 from .regulator.start_values import Observer
-from .system import ObserverWish, System
+from .system import System
 
 Array = np.ndarray
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
+
+from fmu_export.errors import UserError, counted, shown
 
 from .block_form import block_form, scaling
 
@@ -17,6 +20,26 @@ SETTLED, ACCEPTED = 1e-13, 1e-6
 """Relative change of the gain in a step: that ends the iteration, and that the last step may have."""
 UNSEEN = 1e-8
 """Smallest singular value of (A - i w I, sqrt(Q)), scaled to entries near 1, that counts as 0."""
+
+
+def checked_weights(Q: ArrayLike, R: ArrayLike, n: int, m: int) -> tuple[Array, Array]:
+    """Return Q (n, n) and R (m, m) from matrices or their diagonals; raise UserError unless Q >= 0 and R > 0."""
+    Q, R = _weight("Q", Q, n), _weight("R", R, m)
+    for name, W, least, rule in (("Q", Q, 0.0, "positive semidefinite"), ("R", R, 1e-300, "positive definite")):
+        smallest = float(np.linalg.eigvalsh(W)[0])
+        if smallest < least:
+            raise UserError(f"lqr.{name} must be {rule}, found the eigenvalue {smallest:g}")
+    return Q, R
+
+
+def _weight(name: str, value: ArrayLike, size: int) -> Array:
+    W = np.asarray(value, dtype=float)
+    W = np.diag(W) if W.ndim == 1 else W
+    if W.shape != (size, size) or not np.isfinite(W).all() or np.abs(W - W.T).max() > 1e-9 * np.abs(W).max():
+        raise UserError(
+            f"lqr.{name} must be {counted(size, 'number')}, or a symmetric matrix of that size, found {shown(value)}"
+        )
+    return W
 
 
 def regulator_gain(A: Array, B: Array, Q: Array, R: Array) -> Array | None:

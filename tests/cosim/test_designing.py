@@ -11,8 +11,9 @@ from cosim.errors import UserError
 from cosim.pendulum_export import export_units
 from cosim.system_export import export_system
 from ihc_fmu.design import Design
-from ihc_fmu.synthesis import degrees, largest_alpha
-from ihc_fmu.system import PENDULUM, System, from_dict
+from ihc_fmu.largest_rate import largest_alpha
+from ihc_fmu.synthesis import degrees
+from ihc_fmu.system import PENDULUM, System
 
 
 def test_without_mu_the_largest_feasible_alpha_is_the_best_of_those_tried():
@@ -63,7 +64,7 @@ SEEN = {"C": [[1, 0], [0, 1]], "outputs": ["y1", "y2"]}
     ],
 )
 def test_what_export_refuses_is_noted_in_its_words(given, said, tmp_path):
-    system = from_dict({**INTEGRATORS, **given})
+    system = System.from_dict({**INTEGRATORS, **given})
     design = Design(system, np.eye(system.n), 1.0, 0.1) if system.n > 2 else find(system, Wish(), lambda _: None)[0]
     notes = unexportable(design)
     assert len(notes) == (said is not None)

@@ -15,7 +15,7 @@ import pytest
 from cosim import master
 from cosim.errors import UserError
 from cosim.fmu_files import describe
-from cosim.hil.loop import ControllerFmu
+from cosim.hil.controller import ControllerFmu
 from cosim.hil.replay import controller_of, replay
 from cosim.master import simulate
 from cosim.results import Result, SimulationError

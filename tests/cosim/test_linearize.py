@@ -21,8 +21,10 @@ from cosim.system_export import export_system
 from cosim.system_file import _hints, write
 from fmu_export.native_build import build_library, host_platform
 from fmu_export.python_fmu import export_python_fmu
-from ihc_fmu.synthesis import chosen_options, inverse_design
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.synthesis import chosen_options
+from ihc_fmu.system import System
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import PARAMETER_SETS
 from plant_fmu.slave import QubeServo2

@@ -20,7 +20,7 @@ from cosim.system_export import export_system
 from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
 from ihc_fmu.synthesis import synthesize
-from ihc_fmu.system import from_dict
+from ihc_fmu.system import System
 from tests.cosim.command import ended
 from tests.cosim.linear_fmu import linear_fmu
 
@@ -45,7 +45,7 @@ OTHER = "the controller was designed for another"
 def exported(tmp_path_factory):
     """The FMUs of a design for ENTRIES, and of the same plant in Python."""
     folder = tmp_path_factory.mktemp("spring")
-    made = synthesize(from_dict(ENTRIES))
+    made = synthesize(System.from_dict(ENTRIES))
     export_system(made, folder / "python", kind=Kind.python)
     export_system(made, folder)
     (folder / "python" / "spring_linear_plant.fmu").rename(folder / "python_plant.fmu")

@@ -65,10 +65,10 @@ def test_dry_friction_may_be_missing_and_whole_numbers_are_numbers(file):
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
-        ({"D_rr": "1.0"}, "there is no parameter 'D_rr'; did you mean D_r?"),
-        ({"m_p": None}, "m_p missing; a parameter file has source, back_emf, m_p, L_p, J_p"),
-        ({"source": None, "k_m": None}, "source, k_m missing"),
-        ({"back_emf": None}, "back_emf missing"),
+        ({"D_rr": "1.0"}, "there is no entry D_rr; did you mean D_r?"),
+        ({"m_p": None}, "m_p is required"),
+        ({"source": None, "k_m": None}, "source is required"),
+        ({"back_emf": None}, "back_emf is required"),
         ({"m_p": "'heavy'"}, "m_p must be a number, found 'heavy'"),
         ({"m_p": "true"}, "m_p must be a number, found true"),
         ({"m_p": "0.0"}, "m_p must be finite and positive, found 0.0 kg"),

@@ -18,7 +18,8 @@ from cosim.structure import Component, SystemStructure
 from cosim.system_export import export_system, exported_files
 from cosim.system_file import write
 from ihc_fmu.design import Design
-from ihc_fmu.synthesis import chosen_options, inverse_design
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.synthesis import chosen_options
 from ihc_fmu.system import System as Model
 from plant_fmu.parameters import PARAMETER_SETS
 

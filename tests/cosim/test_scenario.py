@@ -25,9 +25,10 @@ from cosim.scenario_files import files
 from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
 from fmu_export.python_fmu import export_python_fmu
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.interface import kalman_gains
 from ihc_fmu.pendulum.start_values import kalman_values, nominal_values
-from ihc_fmu.synthesis import Options, inverse_design
 from ihc_fmu.system import System
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS, QubeParameters

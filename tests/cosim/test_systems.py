@@ -24,11 +24,13 @@ from cosim.scenario_run import run_scenario, with_tolerances
 from cosim.scenario_system import build_system, evaluation
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.block_form import block_form
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
+from ihc_fmu.quantity import Quantity
 from ihc_fmu.regulator.interface import Shape
 from ihc_fmu.regulator.native_unit import NATIVE as CONTROLLER
 from ihc_fmu.regulator.start_values import Regulator
-from ihc_fmu.synthesis import Options, inverse_design
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.system import System
 from plant_fmu.linear.native_unit import NATIVE as PLANT
 from plant_fmu.linear.start_values import linear_plant_values
 from plant_fmu.linear.start_values import shown_interface as shown_linear_plant

@@ -16,7 +16,7 @@ from cosim.system_export import export_system
 from cosim.wire_factors import ComparedWire, Explanation, likeliest
 from fmu_export.errors import UserError
 from ihc_fmu.synthesis import synthesize
-from ihc_fmu.system import from_dict
+from ihc_fmu.system import System
 from tests.cosim.linear_fmu import linear_fmu
 
 GAP, CURRENT, RESISTANCE, INDUCTANCE = 0.014, 0.8, 2.0, 0.02  # m, A, Ohm, H
@@ -44,7 +44,7 @@ def maglev(name, length="m", current="A", *, at_rest=(GAP, 0.0, CURRENT)):
             "outputs": (C @ (at_rest * sizes)).tolist(),
         },
     }
-    return synthesize(from_dict(entries))
+    return synthesize(System.from_dict(entries))
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from cosim.experiments import Experiment, run_experiments
 from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, load_scenario
 from ihc_fmu.pendulum.start_values import default_design
-from ihc_fmu.system import ENTRIES
+from ihc_fmu.system_entries import ENTRIES
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "fmus/README.md")]

@@ -22,10 +22,11 @@ from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
 from cosim.system_export import export_system
 from fmu_export.errors import UserError
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.regulator.interface import INTERFACE, OUTPUTS
 from ihc_fmu.regulator.start_values import design_regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit
-from ihc_fmu.synthesis import chosen_options, inverse_design
+from ihc_fmu.synthesis import chosen_options
 from ihc_fmu.system import System
 
 from .conftest import EXAMPLES

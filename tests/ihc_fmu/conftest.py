@@ -9,12 +9,13 @@ import pytest
 
 from ihc_fmu.companion import chain_form, weights
 from ihc_fmu.homogeneity import chain, homogeneous_norm, norm_polynomial
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.laws import chain_design, implicit_homogeneous
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum import interface
 from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B, PAPER_K_LIN, paper_system
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design
 from ihc_fmu.pendulum.unit import IhcControllerUnit
-from ihc_fmu.synthesis import Options, inverse_design
 from plant_fmu import interface as plant_interface
 from plant_fmu.parameters import parameter_set
 from plant_fmu.unit import QubePlant

@@ -14,7 +14,8 @@ from fmu_export.errors import UserError
 from ihc_fmu.block_form import block_form
 from ihc_fmu.certificate import CertificateError, certify, is_positive, norm_of, settling_time_bound
 from ihc_fmu.design import Design
-from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.system import System
 from tests.ihc_fmu.conftest import chain_of
 

@@ -8,12 +8,15 @@ import pytest
 from fmu_export.errors import UserError
 from ihc_fmu.design import Design
 from ihc_fmu.estimation import bandwidth, estimator, noise, remarks
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.kalman import linearize
 from ihc_fmu.pendulum.nominal_model import nominal_model
 from ihc_fmu.pendulum.paper_system import PAPER_K_LIN
 from ihc_fmu.pendulum.start_values import nominal_values
-from ihc_fmu.synthesis import Options, chosen_options, inverse_design
-from ihc_fmu.system import Quantity, System
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.synthesis import chosen_options
+from ihc_fmu.system import System
 from plant_fmu.parameters import PARAMETER_SETS
 from tests.ihc_fmu.pendulum.test_kalman import PUBLISHED_M
 

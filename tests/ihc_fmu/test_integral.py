@@ -14,9 +14,11 @@ from ihc_fmu.controller import Controller
 from ihc_fmu.design import Design
 from ihc_fmu.homogeneity import homogeneous_norm
 from ihc_fmu.integral import IntegralAction, nearest
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.laws import block_state, controls, integrand
-from ihc_fmu.synthesis import Options, chosen_options, inverse_design, synthesize
-from ihc_fmu.system import System, from_dict
+from ihc_fmu.options import Options
+from ihc_fmu.synthesis import chosen_options, synthesize
+from ihc_fmu.system import System
 from tests.ihc_fmu.blocks import random_system
 from tests.ihc_fmu.regulator.test_closed_loop import ARM, CART, H
 
@@ -221,7 +223,7 @@ def test_system_file_holds_it(integral, tmp_path):
 )
 def test_entries_of_a_file_that_are_none_are_refused(integral, message):
     with pytest.raises(UserError, match=message):
-        from_dict({"A": CART["A"].tolist(), "B": CART["B"].tolist(), "integral": integral})
+        System.from_dict({"A": CART["A"].tolist(), "B": CART["B"].tolist(), "integral": integral})
 
 
 def test_degree_is_chosen_for_it():

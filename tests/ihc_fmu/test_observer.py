@@ -12,10 +12,11 @@ from fmu_export.errors import UserError
 from ihc_fmu.block_form import Scaling, block_form
 from ihc_fmu.controller import Controller, regulator_of
 from ihc_fmu.observer import homogeneous_observer, least_degree
+from ihc_fmu.observer_wish import ObserverWish
 from ihc_fmu.regulator.interface import Shape, numbered
 from ihc_fmu.regulator.start_values import Observer, Regulator
 from ihc_fmu.synthesis import synthesize
-from ihc_fmu.system import ObserverWish, System, from_dict
+from ihc_fmu.system import System
 from tests.ihc_fmu.regulator.conftest import H, both, names, row, whole  # noqa: F401 - fixtures
 from tests.ihc_fmu.regulator.test_closed_loop import ARM
 from tests.ihc_fmu.test_integral import discrete
@@ -215,4 +216,4 @@ def test_a_model_that_is_not_observable_is_refused():
 def test_entries_of_a_file_that_are_none_are_refused(entries, message):
     given = {"A": ARM["A"].tolist(), "B": ARM["B"].tolist(), "C": np.eye(2, 4).tolist(), **entries}
     with pytest.raises(UserError, match=message):
-        from_dict({name: value for name, value in given.items() if value is not None})
+        System.from_dict({name: value for name, value in given.items() if value is not None})

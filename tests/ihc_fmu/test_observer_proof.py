@@ -6,8 +6,8 @@ from scipy.integrate import solve_ivp
 
 from ihc_fmu.observer import homogeneous_observer, remark
 from ihc_fmu.observer_proof import bernstein, prove
+from ihc_fmu.observer_wish import ObserverWish
 from ihc_fmu.synthesis import synthesize
-from ihc_fmu.system import ObserverWish
 from tests.ihc_fmu.test_observer import GAIN, arm, gain_at
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..design import Design
-from ..synthesis import Options, inverse_design
+from ..inverse import inverse_design
+from ..options import Options
 from .paper_system import paper_system
 
 FILE = Path(__file__).with_name("default_design.json")

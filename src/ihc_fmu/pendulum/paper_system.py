@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..system import PENDULUM, Quantity, System
+from ..quantity import Quantity
+from ..system import PENDULUM, System
 
 PAPER_A = ((0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 149.2751, -0.0104, 0.0), (0.0, 261.6091, -0.0103, 0.0))
 PAPER_B = (0.0, 0.0, 49.7275, 49.1493)

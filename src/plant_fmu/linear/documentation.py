@@ -6,7 +6,8 @@ from html import escape
 
 import numpy as np
 
-from ihc_fmu.system import Array, System
+from ihc_fmu.arrays import Array
+from ihc_fmu.system import System
 
 
 def notes(system: System) -> str:

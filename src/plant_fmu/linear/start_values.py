@@ -10,7 +10,9 @@ import numpy as np
 from fmu_export.errors import UserError
 from fmu_export.units import per_second
 from fmu_export.variables import Interface, Value, Variable
-from ihc_fmu.system import Array, Quantity, System
+from ihc_fmu.arrays import Array
+from ihc_fmu.quantity import Quantity
+from ihc_fmu.system import System
 
 from .interface import INTERFACE, MOST_INPUTS, MOST_OUTPUTS, MOST_STATES, UNLIMITED, matrix, vector
 

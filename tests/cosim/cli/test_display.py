@@ -17,9 +17,10 @@ from cosim.cli.display import (
 from cosim.comparison import Comparison, Draw
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics
-from cosim.paper.claims import Claim
+from cosim.paper.verdicts import Claim
 from cosim.scenario import Scenario
-from ihc_fmu.synthesis import Options, inverse_design
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.system import System
 
 WIDTHS = (200, 80, 60, 40)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cosim.hil import loop as loop_module
+from tests.cosim.command import ended
 from tests.cosim.hil import rig
 
 STAND_IN = Path(__file__).parent / "stand_in"
@@ -48,6 +49,21 @@ def serve(fmus):
             raise one.error
         if one.board.record:
             rig.at_rest(one.board)
+
+
+@pytest.fixture
+def hil(tmp_path, fmus):
+    """Run `hil` in a temporary folder, with the log in `out`."""
+    return lambda *args: ended("hil", "--fmus", fmus, "-o", "out", *args, cwd=tmp_path)
+
+
+@pytest.fixture(scope="session")
+def logged(tmp_path_factory, fmus):
+    """The log of a run of 3 s in lockstep, not to be changed."""
+    folder = tmp_path_factory.mktemp("logged")
+    done = ended("hil", "--fmus", fmus, "--lockstep", "--duration", "3", "-o", folder, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "run.csv"
 
 
 @pytest.fixture

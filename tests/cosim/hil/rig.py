@@ -8,7 +8,7 @@ from cosim.hil.faults import parse
 from cosim.hil.loop import Loop
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
-from cosim.hil.udp import Server
+from cosim.hil.udp_server import Server
 from cosim.scenario import load_scenario
 from cosim.scenario_system import build_system
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
+from cosim.hil import udp
 from cosim.hil.log import LiveLog
 from cosim.hil.replay import replay
 from cosim.hil.simulated import HOLD
@@ -33,12 +34,6 @@ without_sdk = pytest.mark.skipif(importlib.util.find_spec("quanser") is not None
 
 
 @pytest.fixture
-def hil(tmp_path, fmus):
-    """Run `hil` in a temporary folder, with the log in `out`."""
-    return lambda *args: ended("hil", "--fmus", fmus, "-o", "out", *args, cwd=tmp_path)
-
-
-@pytest.fixture
 def process(tmp_path, fmus):
     """Run `hil` in a process of its own; otherwise as `hil`."""
     return lambda *args, **options: finished(
@@ -46,29 +41,15 @@ def process(tmp_path, fmus):
     )
 
 
-def with_stand_in(monkeypatch, folder, **changes):
-    """Let processes find the stand-in with a configuration; return a function that reads what it recorded."""
-    log = folder / "board.log"
-    file = folder / "board.json"
-    file.write_text(json.dumps({"clock": "steps", "log": str(log), **changes}), encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(STAND_IN), os.environ.get("PYTHONPATH")])))
-    monkeypatch.setenv("QUBE_STAND_IN", str(file))
-    return lambda: [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
-
-
 @pytest.fixture
-def on_stand_in(tmp_path, monkeypatch):
-    return lambda **changes: with_stand_in(monkeypatch, tmp_path, **changes)
+def on_board(stand_in, hil):
+    """Run `hil` on a board of the stand-in with a configuration."""
 
+    def run(*args, **changes):
+        stand_in.configure(clock="steps", **changes)
+        return hil("--device", "qube", *args)
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory, fmus):
-    """A run of 3 s in lockstep, for what reads logs; not to be changed."""
-    folder = tmp_path_factory.mktemp("run")
-    options = ("--lockstep", "--duration", "3", "-o", folder)
-    done = ended("hil", "--fmus", fmus, *options, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "run.csv"
+    return run
 
 
 def about(path):
@@ -99,28 +80,31 @@ def wait_for_rows(process, folder, rows):
 # --- runs
 
 
-def test_run_leaves_log_and_picture(run):
-    assert files(run.parent) == ["run.csv", "run.json", "run.png"]
-    result = Result.load(run)
+def test_run_leaves_log_and_picture(logged):
+    assert files(logged.parent) == ["run.csv", "run.json", "run.png"]
+    result = Result.load(logged)
     assert np.round(result.time / PERIOD).tolist() == list(range(3001))
     assert result.metadata["hil"]["stop"] == "complete"
     assert {"plant.theta_encoder", "controller.voltage", "hil.latency"} <= set(result.signals)
 
 
-def test_earlier_run_stays(tmp_path, hil, run):
+def test_earlier_run_stays(tmp_path, hil, logged):
     out = tmp_path / "out"
-    shutil.copytree(run.parent, out)
+    shutil.copytree(logged.parent, out)
     done = hil("--lockstep", "--duration", "0.2")
     assert done.returncode == 0, done.stderr
     assert "stopped at 0 V: the duration is over" in done.stdout
     assert files(out) == [f"run{n}.{kind}" for n in ("", "_2") for kind in ("csv", "json", "png")]
-    assert (out / "run.csv").read_bytes() == run.read_bytes()
+    assert (out / "run.csv").read_bytes() == logged.read_bytes()
     first, second = (Result.load(out / name)["controller.voltage"] for name in ("run.csv", "run_2.csv"))
     assert second.tolist() == first[:201].tolist()
 
 
-def test_run_on_the_stand_in(tmp_path, fmus, process, on_stand_in):
-    record = on_stand_in()
+def test_run_on_the_stand_in(tmp_path, fmus, process, monkeypatch):
+    log, configuration = tmp_path / "board.log", tmp_path / "board.json"
+    configuration.write_text(json.dumps({"clock": "steps", "log": str(log)}), encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(STAND_IN), os.environ.get("PYTHONPATH")])))
+    monkeypatch.setenv("QUBE_STAND_IN", str(configuration))
     square = ("--scenario", "device_square_wave", "--set", "signals.0.start=0.2")
     done = process("--device", "qube", "--duration", "0.5", *square)
     assert done.returncode == 0, done.stderr
@@ -129,7 +113,7 @@ def test_run_on_the_stand_in(tmp_path, fmus, process, on_stand_in):
     assert result["controller.theta_setpoint"].tolist() == [0.0] * 201 + [0.3] * 300
     replayed = replay(result, fmus / "IhcController.fmu")
     assert (replayed.first, replayed.samples) == (None, 500)
-    events = record()
+    events = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()]
     assert max(abs(event["values"][0]) for event in events if event["what"] == "AO0") > 0.1
     last = {event["what"]: event["values"] for event in events}
     assert (last["AO0"], last["DO0"], last["LED"]) == ([0.0], [0], [1.0, 0.0, 0.0])
@@ -146,32 +130,19 @@ def test_fault_of_the_script_ends_the_run(tmp_path, hil):
     assert not path.with_suffix(".rows").exists()
 
 
-@pytest.fixture(scope="module")
-def unplugged(tmp_path_factory, fmus):
-    """A run whose board lost its cable: the finished process and the log."""
-    folder = tmp_path_factory.mktemp("unplugged")
-    options = ("--device", "qube", "--no-sign-test", "--duration", "2", "-o", folder)
-    with pytest.MonkeyPatch.context() as patch:
-        with_stand_in(patch, folder, unplugged_at=0.8)
-        return finished(started("hil", "--fmus", fmus, *options, cwd=folder)), folder / "run.csv"
-
-
-def test_unplugged_board_ends_the_run(unplugged):
-    done, path = unplugged
+def test_unplugged_board_ends_the_run(tmp_path, on_board):
+    done = on_board("--no-sign-test", "--duration", "2", unplugged_at=0.8)
     assert done.returncode == 1, done.stderr
+    assert "stopped at 0 V" not in done.stdout
     assert "while stopping: setting 0 V: " in done.stdout
     assert "check its USB cable" in done.stdout
-    assert len(about(path)["hil"]["failures"]) == 6
+    assert len(about(tmp_path / "out" / "run.csv")["hil"]["failures"]) == 6
 
 
-def test_stop_that_failed_is_not_called_one_at_0_volts(unplugged):
-    assert "stopped at 0 V" not in unplugged[0].stdout
-
-
-def test_stop_that_failed_is_no_success(process, on_stand_in):
+def test_stop_that_failed_is_no_success(on_board):
     third = 3  # off at the opening, on, off at the stop
-    on_stand_in(failures={"write": (1, -843, True), "write_digital": (third, -843, True)})
-    done = process("--device", "qube", "--no-sign-test", "--duration", "0.1")
+    failures = {"write": (1, -843, True), "write_digital": (third, -843, True)}
+    done = on_board("--no-sign-test", "--duration", "0.1", failures=failures)
     assert "while stopping: switching the amplifier off" in done.stdout
     assert done.returncode == 1
 
@@ -198,6 +169,26 @@ def test_refusals(tmp_path, hil, args, said):
     assert not (tmp_path / "out").exists() or files(tmp_path / "out") == []
 
 
+@pytest.mark.parametrize(
+    "command", [("hil", "--lockstep"), ("hil", "--device", "qube"), ("device", "--once")], ids=" ".join
+)
+@pytest.mark.parametrize(
+    ("entry", "found"),
+    [
+        (
+            '[[signals]]\nkind = "step"\ninput = "plant.pendulum_torque"\nvalue = 0.001',
+            "a signal on plant.pendulum_torque",
+        ),
+        ("[disturbance]\nsines = [{amplitude = 0.1, frequency = 3.0}]", "a disturbance of the plant"),
+    ],
+    ids=["signal", "disturbance"],
+)
+def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, found):
+    (tmp_path / "pushed.toml").write_text(entry, encoding="utf-8")
+    said = sentence(ended(*command, "--scenario", "pushed.toml", "--fmus", fmus, cwd=tmp_path))
+    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {found}"
+
+
 @without_sdk
 def test_board_without_the_sdk(tmp_path, hil):
     text = sentence(hil("--device", "qube"))
@@ -213,20 +204,19 @@ def test_board_without_the_sdk(tmp_path, hil):
         ({"identifiers": ()}, "no board was found; plug in its USB cable"),
     ],
 )
-def test_board_that_cannot_be_had(tmp_path, process, on_stand_in, changes, said):
-    on_stand_in(**changes)
-    assert said in sentence(process("--device", "qube"))
-    assert files(tmp_path / "out") == []
+def test_board_that_cannot_be_had(tmp_path, on_board, changes, said):
+    assert said in sentence(on_board(**changes))
+    assert files(tmp_path) == []
 
 
-def test_fault_at_the_opening_is_one_sentence(process, on_stand_in):
-    on_stand_in(digital_inputs=((0.0, 0, 1),))
-    done = process("--device", "qube")
+def test_fault_at_the_opening_is_one_sentence(on_board):
+    done = on_board(digital_inputs=((0.0, 0, 1),))
     assert "the amplifier reports a fault" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_silent_address_is_one_sentence(hil):
+def test_silent_address_is_one_sentence(hil, monkeypatch):
+    monkeypatch.setattr(udp, "REPLY_TIME", 0.01)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         done = hil("--device", f"udp://127.0.0.1:{taken.getsockname()[1]}")
@@ -283,9 +273,9 @@ def device(tmp_path, fmus):
     listen = ("--listen", "127.0.0.1:0", "--record", str(record))
     process = started("device", "--fmus", str(fmus), *listen, cwd=tmp_path)
     assert process.stdout is not None
-    found = re.fullmatch(r"listening at 127\.0\.0\.1:(\d+)\n", process.stdout.readline())
-    assert found
-    yield process, found[1], record
+    listening = re.fullmatch(r"listening at 127\.0\.0\.1:(\d+)\n", process.stdout.readline())
+    assert listening
+    yield process, listening[1], record
     process.kill()
     process.wait()
 
@@ -354,24 +344,22 @@ def findings(done):
 
 def test_check_of_the_simulated_device(tmp_path, hil):
     done = hil("--check", "--lockstep")
-    found = findings(done)
+    lines = findings(done)
     assert (done.returncode, done.stderr) == (0, "")
-    assert {word for word, _ in found} == {"ok"}
+    assert {word for word, _ in lines} == {"ok"}
     for text in ("the controller IhcController.fmu needs", "amplifier off", "rest for", "periods missed", "signs: "):
-        assert sum(text in line for _, line in found) == 1
+        assert sum(text in line for _, line in lines) == 1
     assert files(tmp_path) == []
 
 
-def test_check_of_the_stand_in(process, on_stand_in):
-    record = on_stand_in()
-    done = process("--check", "--device", "qube", "--no-real-time")
-    found = findings(done)
+def test_check_of_the_stand_in(stand_in, on_board):
+    done = on_board("--check", "--no-real-time")
+    lines = findings(done)
     assert done.returncode == 0, done.stdout
-    assert {word for word, _ in found} == {"ok"}
-    assert found[0][1] == "Quanser's package and library are there"
-    last = {event["what"]: event["values"] for event in record()}
-    assert last["exit"] == [0.0, 0, False]
-    assert any(event["what"] == "AO0" and event["values"][0] < 0.0 for event in record())  # the pulse
+    assert {word for word, _ in lines} == {"ok"}
+    assert lines[0][1] == "Quanser's package and library are there"
+    assert stand_in.history("close")[-1].values == [0.0, 0]
+    assert any(event.values[0] < 0.0 for event in stand_in.history("AO0"))  # the pulse
 
 
 def test_check_of_an_encoder_the_other_way_round(hil):
@@ -390,97 +378,3 @@ def test_check_without_the_sdk(hil):
     ((word, text),) = findings(done)
     assert word == "wrong"
     assert "is not installed" in text
-
-
-# --- what a log is for
-
-
-def test_replay_is_exact(tmp_path, fmus, run):
-    done = ended("replay", run, "--fmus", fmus, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.startswith("exact: 3000 samples replayed")
-
-
-def test_arm_held_elsewhere_is_judged_there_and_replayed(tmp_path, fmus, hil):
-    done = hil("--lockstep", "--duration", "7", "--set", "controller.start.theta_setpoint=0.25")
-    assert done.returncode == 0, done.stderr
-    path = tmp_path / "out" / "run.csv"
-    arm = about(path)["evaluation"]["errors"][0]
-    assert (arm["signal"], arm["constant"]) == ("plant.theta_encoder", 0.25)
-    assert abs(np.mean(Result.load(path)["plant.theta_encoder"][-1000:]) - 0.25) < 0.05
-    done = ended("replay", path, "--fmus", fmus, cwd=tmp_path)
-    assert done.stdout.startswith("exact: 7000 samples replayed")
-
-
-def test_the_arm_follows_a_square_wave_on_a_device(tmp_path, fmus, hil):
-    faster = ("signals.0.start=2", "signals.0.period=3")
-    settings = (part for change in faster for part in ("--set", change))
-    done = hil("--lockstep", "--duration", "5", "--scenario", "device_square_wave", *settings)
-    assert done.returncode == 0, done.stderr
-    path = tmp_path / "out" / "run.csv"
-    arm, log = about(path)["evaluation"]["errors"][0], Result.load(path)
-    assert (arm["signal"], arm["set_point"]) == ("plant.theta_encoder", "controller.theta_setpoint")
-    rows = np.flatnonzero(np.diff(log["controller.theta_setpoint"]))
-    assert (rows.tolist(), log["controller.theta_setpoint"][[2000, 2001, 3501]].tolist()) == (
-        [2000, 3500],
-        [0.0, 0.3, -0.3],
-    )
-    assert abs(log["plant.theta_encoder"][3500] - 0.3) < 0.1
-    done = ended("replay", path, "--fmus", fmus, cwd=tmp_path)
-    assert done.stdout.startswith("exact: 5000 samples replayed")
-    done = ended("overlay", path, "--fmus", fmus, "--begin", "1.9", "-o", "over", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    again = Result.load(tmp_path / "over" / "simulation.csv")
-    assert again["controller.theta_setpoint"].tolist() == log["controller.theta_setpoint"][1900:].tolist()
-    assert again.metadata["evaluation"] == log.metadata["evaluation"]
-    assert abs(again["plant.theta_encoder"][1600] - log["plant.theta_encoder"][3500]) < 0.03
-
-
-@pytest.mark.parametrize(
-    "command", [("hil", "--lockstep"), ("hil", "--device", "qube"), ("device", "--once")], ids=" ".join
-)
-@pytest.mark.parametrize(
-    ("entry", "found"),
-    [
-        (
-            '[[signals]]\nkind = "step"\ninput = "plant.pendulum_torque"\nvalue = 0.001',
-            "a signal on plant.pendulum_torque",
-        ),
-        ("[disturbance]\nsines = [{amplitude = 0.1, frequency = 3.0}]", "a disturbance of the plant"),
-    ],
-    ids=["signal", "disturbance"],
-)
-def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, found):
-    (tmp_path / "pushed.toml").write_text(entry, encoding="utf-8")
-    said = sentence(ended(*command, "--scenario", "pushed.toml", "--fmus", fmus, cwd=tmp_path))
-    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {found}"
-
-
-def test_replay_finds_one_digit(tmp_path, fmus, run):
-    result, changed, row = Result.load(run), tmp_path / "changed.csv", 700
-    voltage = result["controller.voltage"]
-    voltage[row] = np.nextafter(voltage[row], 20.0)
-    result.save(changed)
-    done = ended("replay", changed, "--fmus", fmus, cwd=tmp_path)
-    assert done.returncode == 1, done.stderr
-    assert re.match(rf"not exact: 1 of 300\d rows differ, the first at {row / 1000:g} s: voltage is ", done.stdout)
-
-
-def test_overlay_writes_its_pictures(tmp_path, fmus, run):
-    done = ended("overlay", run, "--fmus", fmus, "--begin", "2", "-o", "over", cwd=tmp_path)
-    assert (done.returncode, done.stderr.strip()) == (0, "")
-    written = files(tmp_path / "over")
-    assert {"simulation.csv", "simulation.json", "angles.png", "voltage.png"} <= set(written)
-    assert "RMS difference of plant.theta_encoder: " in done.stdout
-
-
-def test_identify_writes_parameters(tmp_path, run):
-    done = ended("identify", run, "--fit", "D_p", "-o", "found.toml", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert files(tmp_path) == ["found.toml"]
-    assert "D_p" in (tmp_path / "found.toml").read_text(encoding="utf-8")
-
-
-def test_log_that_is_missing(tmp_path):
-    assert sentence(ended("replay", "nothing.csv", cwd=tmp_path)) == "result file nothing.csv does not exist"
-    assert files(tmp_path) == []

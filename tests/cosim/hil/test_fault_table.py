@@ -5,6 +5,7 @@ What a device did is taken from its own record, never from the loop's log.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import re
@@ -16,10 +17,11 @@ import numpy as np
 import pytest
 
 from cosim.fmu import FmuError
+from cosim.hil.controller import ControllerFmu
 from cosim.hil.faults import parse
 from cosim.hil.guards import Limits
 from cosim.hil.log import rows_of
-from cosim.hil.loop import ControllerFmu, Loop
+from cosim.hil.loop import Loop
 from cosim.hil.quanser import WATCHDOG, QuanserDevice
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, Board, SimulatedDevice
@@ -242,7 +244,7 @@ def raiser(error):
     return action
 
 
-@pytest.mark.parametrize("voltage", [math.nan, math.inf, -math.inf, 15.1])
+@pytest.mark.parametrize("voltage", [math.nan, math.inf, -math.inf, 15.1, -16.0])
 def test_value_that_is_no_voltage(bench, run, monkeypatch, voltage):
     fails_at(monkeypatch, T + 1, lambda: voltage)
     b = bench()
@@ -263,14 +265,18 @@ def test_fmu_error(bench, run, monkeypatch):
 
 
 def test_controller_that_gives_up(bench, run, monkeypatch):
+    command = ControllerFmu.command
+
+    def blind(self, theta, delta, number):
+        return command(self, math.nan if number == T else theta, delta, number)
+
+    monkeypatch.setattr(ControllerFmu, "command", blind)
     b = bench()
-    given_up = []
-    calls(b.device, T, lambda: given_up.append(True))
-    monkeypatch.setattr(ControllerFmu, "faulted", lambda self, mode: bool(given_up))
     report = run(b)
     assert report.stop == "fault"
     assert "the controller has given up" in report.reason
     check_stopped(b, T)
+    check_log(report, range(T + 1))
 
 
 @pytest.mark.parametrize("error", [RuntimeError("boom"), KeyError("boom"), MemoryError("boom"), SystemExit("boom")])
@@ -410,6 +416,8 @@ def test_single_jump_is_dropped(bench, run, channel):
     assert (report.stop, about["dropped"]) == ("complete", 1)
     assert [*about["warnings"].values()] == [pytest.approx(T * PERIOD)]
     assert np.flatnonzero(report.result["hil.steps"] == 0).tolist() == [T, END]  # the last row is not answered
+    for name in ("hil.applied_voltage", "controller.voltage"):
+        assert report.result[name][T + 1] == report.result[name][T] != report.result[name][T + 2]
     changed = [tick for tick, _ in b.voltages()]
     assert (T - 1 in changed, T in changed, T + 1 in changed) == (True, False, True)  # the voltage is held
 
@@ -430,22 +438,17 @@ def test_arm_beyond_90_degrees_is_a_warning(bench, run):
 
 
 def test_stall_limits_the_voltage(bench, run, monkeypatch):
-    sign = [1.0]
-
-    def command(self, theta, delta, number):
-        sign[0] = -sign[0]
-        return 8.0 * sign[0]
-
-    monkeypatch.setattr(ControllerFmu, "command", command)
+    commanded = itertools.cycle((8.0, -8.0, 4.0))
+    monkeypatch.setattr(ControllerFmu, "command", lambda *_: next(commanded))
     b = bench({"digital_inputs": ((on_board(T), 1, 1), (on_board(T + 50), 1, 0))}, f"stall{at(T)}=1:0.0495")
     report = run(b)
     assert report.stop == "complete"
     (warning,) = report.result.metadata["hil"]["warnings"].items()
     assert warning == ("motor stalled: voltage limited to 5 V", pytest.approx(T * PERIOD))
     size = {tick: abs(volts) for tick, volts in b.voltages() if 0 <= tick < END}
-    assert {size[tick] for tick in range(1, T)} == {8.0}
-    assert {size[tick] for tick in range(T, T + 50)} == {5.0}
-    assert {size[tick] for tick in range(T + 50, END)} == {8.0}
+    assert {size[tick] for tick in range(1, T)} == {8.0, 4.0}
+    assert {size[tick] for tick in range(T, T + 50)} == {5.0, 4.0}
+    assert {size[tick] for tick in range(T + 50, END)} == {8.0, 4.0}
 
 
 @pytest.mark.parametrize(("missed", "times"), [(4, 1), (1, 10)])
@@ -455,6 +458,7 @@ def test_few_missed_periods_are_counted(bench, run, missed, times):
     assert report.stop == "complete"
     assert report.result.metadata["hil"]["missed"] == missed * times
     assert np.sum(report.result["hil.missed"]) == missed * times
+    assert len(report.result.time) == 501 - missed * times
     check_stopped(b, 500)
 
 
@@ -573,6 +577,7 @@ def test_stop_that_fails_is_in_the_report(stand_in, loop_of):
     (failure,) = report.failures
     assert failure.startswith("stopping the task: ")
     check_stopped(b, T)
+    check_log(report, range(T + 1))
 
 
 # --- the log

@@ -257,21 +257,6 @@ def test_a_set_that_is_far_off_is_refused(log):
 # The method
 
 
-def test_the_projected_jacobian_gives_the_gradient_of_what_is_left(log):
-    """Of the sum of squares with the best initial states, by central differences."""
-    problem = module._Problem(module._read(log, SHORT), IDENT, ("D_r", "D_p", "T_r"))
-    z = np.array([1.2, 0.8, 3.0, 0.4])
-    gradient = problem.jacobian(z).T @ problem.residuals(z)
-
-    def cost(z):
-        r = problem.residuals(z)
-        return r @ r / 2
-
-    h = 0.02
-    differences = [(cost(z + h * e) - cost(z - h * e)) / (2 * h) for e in np.eye(4)]
-    np.testing.assert_allclose(gradient, differences, rtol=0.02)
-
-
 def test_half_widths_are_those_of_the_mean_of_independent_numbers():
     """One unknown, one number per segment: the jackknife is the standard error of the mean, with S - 1 degrees."""
     from scipy.stats import t as student

@@ -5,16 +5,14 @@ import math
 import os
 import signal
 import threading
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cosim.errors import UserError
 from cosim.hil.device import DeviceError, LinkLostError, UnavailableError
-from cosim.hil.loop import MOST_CAUGHT_UP, ControllerFmu, Loop, stop_signals, timing
+from cosim.hil.loop import Loop, stop_signals, timing
 from cosim.hil.replay import replay
-from cosim.hil.settings import Settings
 from cosim.hil.simulated import HOLD, SimulatedDevice
 from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
@@ -194,31 +192,21 @@ def test_the_file_stays_until_the_result_is_safe(fmus, tmp_path):
 # Ends
 
 
-ENDS = [
-    ("", "complete", "duration is over"),
-    ("amplifier-fault@0.2", "fault", "amplifier"),
-    ("stall-error@0.2", "fault", "stalled too long"),
-    ("silent@0.2", "fault", "nothing came"),
-    ("read-error@0.2", "fault", "could not be read"),
-    ("write-error@0.2", "fault", "refused the voltage"),
-    ("current@0.2=2.1", "fault", "2.10 A"),
-    ("current@0.2=-2.1", "fault", "2.10 A"),
-    ("current@0.2=nan", "fault", "not finite"),
-    ("arm-jump@0.2=5000:0.01", "fault", "two encoder readings"),
-    ("pendulum-jump@0.2=-5000:0.002", "fault", "two encoder readings"),
-    ("late@0.2=5", "fault", "5 periods missed"),
-    ("late@0.2=30", "fault", "30 periods missed"),
-    ("push@0.2=1e300", "fault", "doStep"),
-]
-
-
-@pytest.mark.parametrize("checked", [False, True], ids=["", "checked"])
-@pytest.mark.parametrize(("script", "stop", "said"), ENDS, ids=[e[0] or "complete" for e in ENDS])
-def test_however_a_run_ends_the_motor_is_at_0_V(fmus, tmp_path, script, stop, said, checked):
-    before = 0.51 if checked else 0.0  # the sign test lasts that long at one voltage
-    moved = script.replace("@0.2", f"@{before + 0.2 + 0.1 * checked:g}")
-    device = lockstep(fmus, moved)
-    report = run(device, fmus, tmp_path, 0.4, still=0.1 * checked, sign_test=checked)
+@pytest.mark.parametrize(
+    ("script", "stop", "said"),
+    [
+        ("", "complete", "duration is over"),
+        ("amplifier-fault@0.81", "fault", "amplifier"),
+        ("silent@0.81", "fault", "nothing came"),
+        ("write-error@0.81", "fault", "refused the voltage"),
+        ("late@0.81=30", "fault", "30 periods missed"),
+        ("push@0.81=1e300", "fault", "doStep"),
+    ],
+)
+def test_however_a_run_with_its_checks_ends_the_motor_is_at_0_V(fmus, tmp_path, script, stop, said):
+    """The fault table has the other ways to end; the checks last for 0.61 s."""
+    device = lockstep(fmus, script)
+    report = run(device, fmus, tmp_path, 0.4, still=0.1, sign_test=True)
     assert report.stop == stop
     assert said in one_sentence(report.reason)
     at_rest(device.board)
@@ -274,74 +262,13 @@ def test_the_last_row_tells_why(fmus, tmp_path):
     assert report.result["plant.current"][-1] == -3.0
 
 
-def test_one_dropped_sample_holds_the_voltage_and_is_no_end(fmus, tmp_path):
-    device = Between(lockstep(fmus, "arm-jump@0.2=500"))
-    report = run(device, fmus, tmp_path, 0.4)
-    assert report.stop == "complete"
-    assert (about(report)["dropped"], len(about(report)["warnings"])) == (1, 1)
-    result = report.result
-    assert np.flatnonzero(result["hil.steps"] == 0).tolist() == [200, 400]
-    assert device.voltages[200] == device.voltages[199]
-    assert result["hil.applied_voltage"][201] == result["hil.applied_voltage"][200]
-    assert result["controller.voltage"][201] == result["controller.voltage"][200]
-    assert device.voltages[201] != device.voltages[200]
-
-
-@pytest.mark.parametrize("u", [8.0, -8.0, 4.0])
-def test_a_stalled_motor_gets_at_most_5_V(fmus, tmp_path, u):
-    device = Between(lockstep(fmus, "stall@0.01=1:0.01"))
-    loop = loop_of(device, fmus, tmp_path, 0.03)
-    loop.controller.command = lambda theta, delta, number: u
-    report = loop.run()
-    loop.log.discard()
-    limited = math.copysign(min(abs(u), 5.0), u)
-    assert device.voltages == [-u] * 10 + [-limited] * 10 + [-u] * 10
-    assert report.result["hil.applied_voltage"].tolist() == [0.0] + [u] * 10 + [limited] * 10 + [u] * 10
-    assert len(about(report)["warnings"]) == 1
-
-
-def test_late_samples_are_missed_periods(fmus, tmp_path):
-    report = run(lockstep(fmus, "late@0.1=2,late@0.2=4"), fmus, tmp_path, 0.4)
-    assert report.stop == "complete"
-    assert about(report)["missed"] == 6
-    assert np.sum(report.result["hil.missed"]) == 6
-    assert report.result.time[-1] == 0.4
-    assert len(report.result.time) == 401 - 6
-
-
 def test_a_last_sample_that_is_late_ends_the_run(fmus, tmp_path):
     report = run(lockstep(fmus, "late@0.398=4"), fmus, tmp_path, 0.4)
     assert report.stop == "complete"
     assert report.result.time[-1] > 0.4
 
 
-def test_misses_may_be_a_warning(fmus, tmp_path):
-    report = run(lockstep(fmus, "late@0.1=12"), fmus, tmp_path, 0.4, stop_on_misses=False)
-    assert report.stop == "complete"
-    assert about(report)["missed"] == 12
-    assert len(about(report)["warnings"]) == 1
-
-
-def test_a_fall_ends_the_run_only_where_asked_to(fmus, tmp_path):
-    script = "push@7=0.05:0.05"
-    free = replace(Settings().limits, arm=100.0, arm_warning=99.0)
-    assert run(lockstep(fmus, script), fmus, tmp_path, 7.5, limits=free).stop == "complete"
-    report = run(lockstep(fmus, script), fmus, tmp_path, 7.5, limits=free, on_fall="stop")
-    assert report.stop == "fault"
-    assert "fell" in report.reason
-
-
-def test_an_arm_that_goes_too_far_is_stopped(fmus, tmp_path):
-    limits = replace(Settings().limits, arm=math.radians(5.0), arm_warning=math.radians(2.0))
-    device = lockstep(fmus)
-    report = run(device, fmus, tmp_path, 2.0, limits=limits)
-    assert report.stop == "fault"
-    assert "beyond ±5°" in report.reason
-    assert list(about(report)["warnings"]) == ["arm beyond ±2°"]
-    at_rest(device.board)
-
-
-@pytest.mark.parametrize("error", [ValueError("odd"), ZeroDivisionError(), KeyError("x"), SystemExit(3)])
+@pytest.mark.parametrize("error", [ValueError("odd"), SystemExit(3)])
 def test_an_error_of_the_program_stops_the_device_and_is_raised(fmus, tmp_path, error, handlers):
     def fail(n, sample):
         if n == 100:
@@ -372,64 +299,7 @@ def test_an_error_of_the_device_is_the_reason(fmus, tmp_path, error):
     at_rest(device.device.board)
 
 
-def test_failures_while_stopping_are_reported(fmus, tmp_path):
-    class Stubborn(Between):
-        def safe_stop(self, reason):
-            super().safe_stop(reason)
-            return ["the light did not turn red"]
-
-    report = run(Stubborn(lockstep(fmus)), fmus, tmp_path, 0.01)
-    assert report.failures == ("the light did not turn red",)
-    assert about(report)["failures"] == ["the light did not turn red"]
-
-
-@pytest.mark.parametrize("voltage", [math.nan, math.inf, 15.1, -16.0])
-def test_a_voltage_that_no_controller_may_command_ends_the_run(fmus, tmp_path, voltage):
-    device = lockstep(fmus)
-    loop = loop_of(device, fmus, tmp_path, 0.4)
-    command = loop.controller.command
-
-    def mad(theta, delta, number):
-        return voltage if device.board.sample.tick == 50 else command(theta, delta, number)
-
-    loop.controller.command = mad
-    report = loop.run()
-    loop.log.discard()
-    assert report.stop == "fault"
-    assert "the controller commands" in report.reason
-    assert all(abs(e.voltage) <= 15.0 for e in device.board.record)
-    at_rest(device.board)
-
-
-def test_a_controller_that_gives_up_ends_the_run(fmus, tmp_path):
-    device = lockstep(fmus)
-    loop = loop_of(device, fmus, tmp_path, 0.4)
-    command = loop.controller.command
-
-    def blind(theta, delta, number):
-        return command(math.nan if device.board.sample.tick == 50 else theta, delta, number)
-
-    loop.controller.command = blind
-    report = loop.run()
-    loop.log.discard()
-    assert report.stop == "fault"
-    one_sentence(report.reason)
-    at_rest(device.board)
-    assert len(report.result.time) == 51
-
-
 # Signals
-
-
-@pytest.mark.parametrize("number", SIGNALS)
-def test_a_signal_ends_the_run_after_the_current_sample(fmus, tmp_path, number, handlers):
-    device = Between(lockstep(fmus), lambda n, sample: os.kill(os.getpid(), number) if n == 100 else None)
-    report = run(device, fmus, tmp_path, 0.4)
-    assert (report.stop, report.signal) == ("signal", number)
-    assert number.name in report.reason
-    assert report.result.time[-1] in (0.1, 0.101)
-    assert report.result["hil.steps"][-1] == 0
-    at_rest(device.device.board)
 
 
 def test_a_signal_from_elsewhere_ends_a_run_in_real_time(fmus, tmp_path, handlers):
@@ -442,14 +312,6 @@ def test_a_signal_from_elsewhere_ends_a_run_in_real_time(fmus, tmp_path, handler
     if report.stop == "signal":
         assert report.signal == signal.SIGINT
     at_rest(device.board)
-
-
-def test_a_signal_in_the_checks_ends_the_run_before_it_began(fmus, tmp_path, handlers):
-    device = Between(lockstep(fmus), lambda n, sample: os.kill(os.getpid(), signal.SIGTERM) if n == 20 else None)
-    report = run(device, fmus, tmp_path, 0.4, still=0.1)
-    assert (report.stop, report.signal) == ("signal", signal.SIGTERM)
-    assert len(report.result.time) == 0
-    at_rest(device.device.board)
 
 
 def test_the_first_of_two_signals_counts_and_a_fault_counts_more(fmus, tmp_path, handlers):
@@ -546,36 +408,6 @@ def test_a_device_that_cannot_start_is_stopped(fmus, tmp_path):
     at_rest(device.device.board)
 
 
-# Controllers that cannot be run
-
-
-@pytest.mark.parametrize("name", ["plant", "tiny"])
-def test_a_controller_of_another_interface_is_refused(fmus, tmp_path, tiny, name):
-    component = tiny("controller") if name == "tiny" else parts(fmus)[1]
-    with pytest.raises(UserError) as caught:
-        Loop(lockstep(fmus), component, settings_of(), tmp_path / "run")
-    assert "theta" in one_sentence(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("rate", [500.0, 1001.0, 999.9999])
-def test_the_controllers_sample_time_is_the_loops_period(fmus, tmp_path, rate):
-    with pytest.raises(UserError, match="sample_time") as caught:
-        Loop(lockstep(fmus), parts(fmus)[0], settings_of(1.0, rate), tmp_path / "run")
-    assert "0.001" in one_sentence(caught.value)
-    assert not list(tmp_path.iterdir())
-
-
-def test_unknown_start_values_are_refused(fmus, tmp_path):
-    with pytest.raises(UserError, match="swing_up_energy_gian"):
-        Loop(
-            lockstep(fmus),
-            parts(fmus, controller__start__swing_up_energy_gian=1.0)[0],
-            settings_of(),
-            tmp_path / "run",
-        )
-
-
 def test_timing_is_of_the_rows_that_stepped(made_result):
     result = made_result(
         [0.0, 1.0, 2.0],
@@ -602,13 +434,3 @@ def test_missed_samples_are_given_to_the_controller_afterwards(fmus, tmp_path, l
     assert result["hil.steps"][row - 1 : row + 2].tolist() == [1, steps, 1]
     assert result["hil.missed"][row] == late
     assert replay(result, fmus / "IhcController.fmu").first is None
-
-
-def test_missed_samples_lie_on_the_line_between_two_measurements(fmus):
-    controller = ControllerFmu(parts(fmus)[0], 1e-3)
-    given = []
-    controller.command = lambda theta, delta, number: given.append((theta, delta, number)) or 0.0
-    assert controller.catch_up((0.0, -3.0, 7), 0.4, -2.6, 4) == 3
-    np.testing.assert_allclose(given, [(0.1, -2.9, 7), (0.2, -2.8, 7), (0.3, -2.7, 7)], rtol=1e-15)
-    assert controller.catch_up((0.0, 0.0, 0), 1.0, 1.0, 1) == 0
-    assert controller.catch_up((0.0, 0.0, 0), 1.0, 1.0, 1000) == MOST_CAUGHT_UP

@@ -20,14 +20,16 @@ import pytest
 from matplotlib.image import imread
 
 from cosim.paper import figures, report
-from cosim.paper.claims import Claim, Judge
+from cosim.paper.claims import Judge
 from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
+from cosim.paper.verdicts import Claim
 from cosim.pendulum_export import export_units
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.pendulum.paper_system import paper_system
-from ihc_fmu.synthesis import Options, inverse_design
 from tests.cosim.command import journal_rows
 
 FIGURES = [f"figure_{n}.png" for n in (3, 4, 5, 6)] + ["shares.png", "chattering.png", "swing_ups.png"]

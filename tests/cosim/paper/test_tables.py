@@ -1,24 +1,18 @@
-"""Tables: exact in the CSV, well-formed in Markdown, and their numbers those of the runs."""
+"""The study's tables are written and read back, and their numbers are those of the runs."""
 
-import csv
 import math
-import re
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from cosim.paper import printed
-from cosim.paper.claims import Judge, Share, Theory, margin, share_of_wins
+from cosim.paper.claims import Judge, Theory
 from cosim.paper.figures import sweep_median, swing_up_pairs
 from cosim.paper.gains import gain_readings, norm_readings
 from cosim.paper.readings import Reading
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key
 from cosim.paper.tables import (
-    Column,
-    Table,
     beyond_table,
     chattering_table,
     claims_table,
@@ -34,6 +28,8 @@ from cosim.paper.tables import (
     swing_ups_table,
 )
 from cosim.paper.variants import sweep_name
+from cosim.paper.verdicts import Share, margin, share_of_wins
+from tests.cosim.paper.test_table import cells_of, saved
 
 NAN = math.nan
 
@@ -43,70 +39,6 @@ def rows_of(table) -> list[dict[str, Any]]:
     names = [column.name for column in table.columns]
     assert len(set(names)) == len(names)
     return [dict(zip(names, row, strict=True)) for row in table.rows]
-
-
-def saved(table, folder):
-    table.save(folder)
-    with (folder / f"{table.name}.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.reader(file)), (folder / f"{table.name}.md").read_text(encoding="utf-8")
-
-
-def cells_of(line):
-    """Split a row of a Markdown table at the bars that are not escaped."""
-    assert line.startswith("|")
-    assert line.endswith("|")
-    return [cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
-
-
-def small(*rows):
-    columns = (Column("what |x|", "what"), Column("value [V]", "value", 3), Column("count", "count"))
-    return Table("small", "A title", "A note.", columns, rows)
-
-
-# Writing
-
-
-@given(st.lists(st.floats(), min_size=1))
-def test_csv_keeps_every_number_to_the_last_bit(tmp_path_factory, values):
-    table = small(*(("x", value, 1) for value in values))
-    (_, *rows), _ = saved(table, tmp_path_factory.getbasetemp())
-    np.testing.assert_array_equal([float(value) for _, value, _ in rows], values)
-
-
-def test_csv_keeps_texts_as_they_are_and_leaves_nothing_empty_but_what_there_is_not(tmp_path):
-    texts = ["a, b", 'c "d"', "e | f", "two\nlines", "θ — δ"]
-    table = small(*((text, None, True) for text in texts))
-    (head, *rows), _ = saved(table, tmp_path)
-    assert head == ["what", "value", "count"]
-    assert rows == [[text, "", "True"] for text in texts]
-    assert [file.name for file in sorted(tmp_path.iterdir())] == ["small.csv", "small.md"]
-
-
-def test_what_there_is_not_is_a_dash_for_the_reader():
-    table = small(("a", None, None), ("b", NAN, np.float64("nan")), ("c", 0.0, 0))
-    assert table.shown() == [["a", "–", "–"], ["b", "–", "–"], ["c", "0", "0"]]
-
-
-def test_the_reader_sees_the_columns_digits_yes_and_no():
-    table = small(("a", 12.3456, 200), ("b", -0.00123456, True), ("c", np.float64(2e-9), False), ("d", math.inf, 7))
-    assert table.shown() == [["a", "12.3", "200"], ["b", "-0.00123", "yes"], ["c", "2e-09", "no"], ["d", "inf", "7"]]
-
-
-def test_markdown_has_as_many_columns_in_each_row_and_escapes_bars(tmp_path):
-    table = small(("a | b", 1.0, 2), ("|q|", None, 3))
-    _, text = saved(table, tmp_path)
-    mark, _, text = text.partition("\n\n")
-    assert (mark, text) == ("<!-- written by qube-ihc -->", table.markdown())
-    title, _, note, _, head, rule, *rows = text.splitlines()
-    assert (title, note) == ("## A title", "A note.")
-    assert cells_of(head) == ["what |x|", "value [V]", "count"]
-    assert rule == "|---|---|---|"
-    assert [cells_of(row) for row in rows] == [["a | b", "1", "2"], ["|q|", "–", "3"]]
-
-
-def test_a_row_of_another_length_is_no_table():
-    with pytest.raises(ValueError, match="zip"):
-        small(("a", 1.0)).shown()
 
 
 # All tables, from numbers that are the printed ones
@@ -123,21 +55,23 @@ def theory(design):
 
 @pytest.fixture
 def every_table(judge, study, design):
-    found, about = judge.found, theory(design)
-    ran = {r.name: {"kept": 1.0, "steady_rms": 0.01, "energy": 2.0} for r in (*about.gains, *about.norms)}
+    runs, without_draws = judge.runs, theory(design)
+    ran = {
+        r.name: {"kept": 1.0, "steady_rms": 0.01, "energy": 2.0} for r in (*without_draws.gains, *without_draws.norms)
+    }
     return [
         claims_table(judge.claims()),
         lmse_table(judge, GAINS[:1], "table_1", "I"),
         lmse_table(judge, GAINS[1:], "table_2", "II"),
         energy_table(judge),
         beyond_table(judge),
-        shares_table(found),
+        shares_table(runs),
         readings_table([Reading("∫|q|² dt", "rad² s", dict.fromkeys(COMPARED, 11.0))]),
-        onset_table(found, judge),
-        swing_ups_table(found),
-        chattering_table(found, study),
-        *gains_tables(about, ran),
-        draws_table(found),
+        onset_table(runs, judge),
+        swing_ups_table(runs),
+        chattering_table(runs, study),
+        *gains_tables(without_draws, ran),
+        draws_table(runs),
     ]
 
 
@@ -181,22 +115,22 @@ def test_the_tables_of_lmse_give_the_printed_numbers_back(judge, gains):
 
 def test_medians_are_over_the_draws_that_stayed_upright(as_printed):
     """Of the IHC's eight draws: 1 to 8 rad² s, the last three lost; the LC lost the first two."""
-    found = as_printed()
-    for key, numbers in found.items():
+    runs = as_printed()
+    for key, numbers in runs.items():
         if key.experiment == "swing-up" and key.gain == 0:
             if key.variant == "IHC":
                 numbers |= {"integral_q2": float(key.draw), "kept": float(key.draw <= 5)}
             if key.variant == "LC":
                 numbers |= {"integral_q2": 10.0, "kept": float(key.draw >= 3)}
-    rows = {row["controller"]: row for row in rows_of(lmse_table(Judge(found), (0,), "table", "title"))}
+    rows = {row["controller"]: row for row in rows_of(lmse_table(Judge(runs), (0,), "table", "title"))}
     assert (rows["IHC"]["median"], rows["IHC"]["kept"], rows["IHC"]["draws"]) == (3.0, 5, 8)
     assert rows["IHC"]["median_over_lc"] == pytest.approx(-60.0)  # of 3, 4, 5 over 10
     assert (rows["LC"]["kept"], rows["LC"]["median_over_lc"]) == (6, 0.0)
 
 
 def test_without_draws_medians_are_dashes(as_printed):
-    found = {key: numbers for key, numbers in as_printed().items() if key.draw == 0}
-    for row in lmse_table(Judge(found), (0,), "table", "title").shown():
+    runs = {key: numbers for key, numbers in as_printed().items() if key.draw == 0}
+    for row in lmse_table(Judge(runs), (0,), "table", "title").shown():
         assert row[-4:] == ["–", "–", "0", "0"]
 
 
@@ -218,12 +152,12 @@ def test_energy_is_compared_with_the_printed_percentages(judge):
 def mixed(as_printed):
     """Numbers with random rankings, losses and NaN."""
     rng = np.random.default_rng(4)
-    found = as_printed()
-    for numbers in found.values():
+    runs = as_printed()
+    for numbers in runs.values():
         for name in ("integral_q2", "steady_rms"):
             numbers[name] = NAN if rng.random() < 0.05 else float(rng.integers(1, 6))
         numbers["kept"] = float(rng.random() < 0.85)
-    return found
+    return runs
 
 
 def test_the_table_of_shares_is_what_comparing_gives(mixed):
@@ -262,11 +196,11 @@ def test_a_cell_in_which_all_is_lost_is_no_draw(mixed):
 
 
 def test_onset_medians_are_of_its_draws(as_printed):
-    found = as_printed()
-    for key, numbers in found.items():
+    runs = as_printed()
+    for key, numbers in runs.items():
         if key.experiment == "onset":
             numbers |= {"integral_q2": key.gain + key.draw, "kept": float(key.draw != 8)}
-    rows = rows_of(onset_table(found, Judge(found)))
+    rows = rows_of(onset_table(runs, Judge(runs)))
     assert [(row["gain"], row["controller"]) for row in rows] == [(gain, v) for gain in (60, 200) for v in COMPARED]
     for row in rows:
         assert row["from_start"] == row["gain"] + 4.0
@@ -274,13 +208,13 @@ def test_onset_medians_are_of_its_draws(as_printed):
         assert (row["kept"], row["draws"]) == (7, 8)
 
 
-def swing_up_numbers(found, draws):
-    """Put (LMSE of LC, of IHC, arm's peak, capture time, kept by LC, by IHC) of each draw into `found`."""
+def swing_up_numbers(runs, draws):
+    """Put (LMSE of LC, of IHC, arm's peak, capture time, kept by LC, by IHC) of each draw into `runs`."""
     for draw, (lc, ihc, peak, capture, kept_lc, kept_ihc) in enumerate(draws, start=1):
         for law, lmse, kept in (("LC", lc, kept_lc), ("IHC", ihc, kept_ihc)):
             key = Key("swing-ups", "ident", 1e-3, 0, law, draw)
-            found[key] = {"integral_q2": lmse, "arm_peak": peak, "capture_time": capture, "kept": kept}
-    return found
+            runs[key] = {"integral_q2": lmse, "arm_peak": peak, "capture_time": capture, "kept": kept}
+    return runs
 
 
 def test_swing_ups_are_grouped_by_the_printed_lmse_capture_and_swing_of_the_arm():
@@ -292,9 +226,9 @@ def test_swing_ups_are_grouped_by_the_printed_lmse_capture_and_swing_of_the_arm(
         (11.0, 1.0, 3.0, 1.5, 0, 1),  # lost
         (11.0, 1.0, 3.0, 1.5, 1, 0),
     ]
-    found = swing_up_numbers({}, draws)
-    assert [draw for draw, _, _ in swing_up_pairs(found)] == [1, 2, 3, 4]
-    rows = rows_of(swing_ups_table(found))
+    runs = swing_up_numbers({}, draws)
+    assert [draw for draw, _, _ in swing_up_pairs(runs)] == [1, 2, 3, 4]
+    rows = rows_of(swing_ups_table(runs))
     assert [(row["count"], row["wins"]) for row in rows] == [(4, 2), (2, 1), (1, 1), (2, 2)]
     every, _, early, wide = rows
     assert every["median"] == pytest.approx(0.0, abs=1e-12)
@@ -311,22 +245,22 @@ def test_no_swing_up_that_both_kept_gives_dashes():
 
 
 def test_chattering_is_a_median_over_draws_in_which_a_lost_pendulum_is_infinite(study):
-    chain, found = "1.5 V, filter", {}
+    chain, runs = "1.5 V, filter", {}
     rows = {1: (3.0, 1), 2: (1.0, 1), 3: (9.0, 0), 4: (2.0, 1), 5: (8.0, 1)}
     for draw, (value, kept) in rows.items():
         for h in (1e-3, 2e-3):
             key = Key("chattering", "ident", h, 0, sweep_name(chain, 0.8), draw)
-            found[key] = {"integral_q2": value, "kept": kept if h == 1e-3 else 0}
-    assert sweep_median(found, chain, 0.8, 1e-3, "integral_q2") == 3.0  # of 1, 2, 3, 8, infinite
-    assert math.isnan(sweep_median(found, chain, 0.8, 2e-3, "integral_q2"))
+            runs[key] = {"integral_q2": value, "kept": kept if h == 1e-3 else 0}
+    assert sweep_median(runs, chain, 0.8, 1e-3, "integral_q2") == 3.0  # of 1, 2, 3, 8, infinite
+    assert math.isnan(sweep_median(runs, chain, 0.8, 2e-3, "integral_q2"))
 
 
 def test_chattering_is_tabled_over_that_of_the_lc_for_each_chain_step_and_a_min(judge, study, tiny_size):
-    found = {
+    runs = {
         key: {**n, "voltage_variation": 2.0 if key.variant.endswith("a_min 1") else 5.0} if "chatt" in key[0] else n
-        for key, n in judge.found.items()
+        for key, n in judge.runs.items()
     }
-    rows = rows_of(chattering_table(found, study))
+    rows = rows_of(chattering_table(runs, study))
     assert len(rows) == 3 * len(tiny_size.sample_times) * len(tiny_size.a_mins)
     assert {row["chain"] for row in rows} == {"10 V, filter", "1.5 V, filter", "1.5 V, Kalman filter"}
     assert {row["step_ms"] / 1e3 for row in rows} == set(tiny_size.sample_times)
@@ -334,19 +268,21 @@ def test_chattering_is_tabled_over_that_of_the_lc_for_each_chain_step_and_a_min(
 
 
 def test_the_tables_of_k_and_P_leave_out_numbers_of_a_lost_pendulum(design):
-    about = theory(design)
+    without_draws = theory(design)
     ran = {
         r.name: {"kept": float(i > 3), "steady_rms": 0.01, "energy": 2.0}
-        for readings in (about.gains, about.norms)
+        for readings in (without_draws.gains, without_draws.norms)
         for i, r in enumerate(readings)
     }
-    for table, readings in zip(gains_tables(about, ran), (about.gains, about.norms), strict=True):
+    for table, readings in zip(
+        gains_tables(without_draws, ran), (without_draws.gains, without_draws.norms), strict=True
+    ):
         rows = rows_of(table)
         assert [row["reading"] for row in rows] == [reading.name for reading in readings]
         assert [row["kept"] for row in rows] == [i > 3 for i in range(len(rows))]
         assert [(row["steady_rms"], row["energy"]) for row in rows[:4]] == [(None, None)] * 4
         assert (rows[4]["steady_rms"], rows[4]["energy"]) == (0.01, 2.0)
-    k_table, p_table = gains_tables(about, ran)
+    k_table, p_table = gains_tables(without_draws, ran)
     assert [row["stable"] for row in rows_of(k_table)] == [False] * 4 + [True] * 2
     assert [row["solves"] for row in rows_of(p_table)] == [False] * 4 + [True]
     assert rows_of(k_table)[4]["K"] == "[2, -30, 2, -2.6]"

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from ihc_fmu.design import Design
+from ihc_fmu.inverse import inverse_design
 from ihc_fmu.pendulum.interface import INTERFACE, matrix, upper_triangle, vector
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.pendulum.start_values import controller_start_values, design_values, nominal_values
 from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc
-from ihc_fmu.synthesis import inverse_design
 from ihc_fmu.system import System
 from plant_fmu.parameters import PARAMETER_SETS
 from tests.ihc_fmu.conftest import chain_gain, chain_of

@@ -7,11 +7,12 @@ import pytest
 from scipy.linalg import expm, solve_discrete_are
 
 from fmu_export.errors import UserError
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
 from ihc_fmu.regulator.documentation import notes
 from ihc_fmu.regulator.interface import ESTIMATORS, INTERFACE
 from ihc_fmu.regulator.start_values import LinearFilter, design_regulator
 from ihc_fmu.regulator.unit import HomogeneousControllerUnit, Mode
-from ihc_fmu.synthesis import Options, inverse_design
 from ihc_fmu.system import System
 from tests.ihc_fmu.regulator.conftest import OUTPUT_NAMES, row
 

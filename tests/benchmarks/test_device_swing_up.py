@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks import device_swing_up
+from benchmarks.device_swing_up import CABLE, LATEST, SETS, STEPS, Key, Outcome, jobs, judged, main, table
 from cosim.campaign import run_all
-from cosim.hil import robustness
-from cosim.hil.robustness import CABLE, LATEST, SETS, STEPS, Key, Outcome, jobs, judged, main, table
 from plant_fmu.parameters import PARAMETER_SETS
 
 DRAWS = 100
@@ -22,16 +22,16 @@ def test_every_draw_is_captured_in_time_within_the_cable_and_kept(fmus):
 
 
 def test_the_usual_swing_up_would_not_do(fmus):
-    found = run_all(jobs(4, seed=7, name="swing_up"), fmus, judged)
-    assert not all(o.good for o in found.values())
+    outcomes = run_all(jobs(4, seed=7, name="swing_up"), fmus, judged)
+    assert not all(o.good for o in outcomes.values())
 
 
 def test_draws_are_within_their_ranges_and_equal_at_all_steps():
-    found = {job.key: job.scenario.plant.start | {"seed": job.scenario.run.seed or 0} for job in jobs(20, seed=3)}
+    starts = {job.key: job.scenario.plant.start | {"seed": job.scenario.run.seed or 0} for job in jobs(20, seed=3)}
     for name in SETS:
         usual = PARAMETER_SETS[name].parameters
         for draw in range(20):
-            one, two = (found[Key(name, step, draw)] for step in STEPS)
+            one, two = (starts[Key(name, step, draw)] for step in STEPS)
             assert one == two
             for damping in ("D_r", "D_p"):
                 value = getattr(usual, damping)
@@ -39,7 +39,7 @@ def test_draws_are_within_their_ranges_and_equal_at_all_steps():
             if draw % 2 == 0:
                 assert one["delta_0"] == -math.pi
                 assert one["theta_0"] == one["delta_dot_0"] == 0.0
-    assert len({start["seed"] for start in found.values()}) == 20 * len(SETS)
+    assert len({start["seed"] for start in starts.values()}) == 20 * len(SETS)
 
 
 @pytest.mark.parametrize(
@@ -63,11 +63,11 @@ def test_what_counts_as_good(made_result, changes, good):
 
 
 def test_the_table_names_each_cell(monkeypatch, capsys):
-    found = {Key(name, step, 0): Outcome(1.5, 0.9, good=name != "hcs") for name in SETS for step in STEPS}
-    lines = table(found).splitlines()
+    outcomes = {Key(name, step, 0): Outcome(1.5, 0.9, good=name != "hcs") for name in SETS for step in STEPS}
+    lines = table(outcomes).splitlines()
     assert len(lines) == 1 + len(SETS) * len(STEPS)
     assert "1/1" in lines[1]
     assert "0/1" in lines[-1]
-    monkeypatch.setattr(robustness, "run_all", lambda *_: found)
+    monkeypatch.setattr(device_swing_up, "run_all", lambda *_: outcomes)
     assert main(["--draws", "1"]) == 1
     assert capsys.readouterr().out.splitlines() == lines

@@ -1,7 +1,9 @@
 """How the study's two fits were made: the swing-up of the scenario `paper`, and SMC1, by random search.
 
-`python -m cosim.paper.fit swing-up` (or `smc`) starts from what is used and says whether a better one was found nearby;
-with `--from-random` it starts from the best of random ones.
+    python -m benchmarks.paper_fits (swing-up | smc) [--tries N] [--seed SEED] [--from-random N] [--folder FOLDER]
+
+The search starts from what is used and says whether a better one was found nearby; with `--from-random` it starts from the
+best of random ones. The folder is that of a study, as `qube-ihc paper` leaves it.
 """
 
 from __future__ import annotations
@@ -14,16 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.campaign import Job, run_all
+from cosim.errors import UserError
+from cosim.fmu_files import describe
+from cosim.paper import printed
+from cosim.paper.gains import A, B
+from cosim.paper.study import QUICK, REFERENCE, SWING_UP_RANGES, Key, Study, numbers
+from cosim.paper.variants import smc_start
+from cosim.paper.verdicts import margin
 from ihc_fmu.sliding_mode import FITTED_KAPPA, FITTED_POLES, FITTED_RHO, sliding_mode_design
-
-from ..campaign import Job, run_all
-from ..errors import UserError
-from ..fmu_files import describe
-from . import printed
-from .claims import margin
-from .gains import A, B
-from .study import QUICK, REFERENCE, SWING_UP_RANGES, Key, Study, numbers
-from .variants import smc_start
 
 STEP = 1e-3
 """Sample time of the runs that are fitted [s]; the result is then checked at the paper's 0.1 ms by the study itself."""
@@ -43,10 +44,10 @@ def swing_up_misfit(study: Study, values: Values) -> float:
     of the encoders' offsets.
     """
     start = {f"controller.start.{name}": float(value) for name, value in zip(SWING_UP_RANGES, values, strict=True)}
-    found = _runs(study, {(v, s): {**start, "run.seed": s} for v in ("LC", "IHC") for s in (1, 2)})
+    runs = _runs(study, {(v, s): {**start, "run.seed": s} for v in ("LC", "IHC") for s in (1, 2)})
     total = 0.0
     for seed in (1, 2):
-        lc, ihc = found["LC", seed], found["IHC", seed]
+        lc, ihc = runs["LC", seed], runs["IHC", seed]
         if not (lc["kept"] and ihc["kept"]):
             return math.inf
         over, said = margin(ihc["integral_q2"], lc["integral_q2"]), printed.LMSE[0]
@@ -65,12 +66,12 @@ def smc_misfit(study: Study, values: Values) -> float:
     start = {f"controller.start.{n}": v for n, v in smc_start(sliding_mode_design(A, B, poles, kappa, rho)).items()}
     gains = (0, 60, 200)
     cases = {("SMC1", gain): {**start, "disturbance.gain": float(gain)} for gain in gains}
-    found = _runs(study, cases | {("LC", gain): {"disturbance.gain": float(gain)} for gain in gains})
-    if not all(found["SMC1", gain]["kept"] for gain in gains):
+    runs = _runs(study, cases | {("LC", gain): {"disturbance.gain": float(gain)} for gain in gains})
+    if not all(runs["SMC1", gain]["kept"] for gain in gains):
         return math.inf
-    ours = [margin(found["SMC1", g]["integral_q2"], found["LC", g]["integral_q2"]) for g in gains]
+    ours = [margin(runs["SMC1", g]["integral_q2"], runs["LC", g]["integral_q2"]) for g in gains]
     said = [margin(printed.LMSE[g]["SMC"], printed.LMSE[g]["LC"]) for g in gains]
-    energy = margin(found["SMC1", 0]["energy"], found["LC", 0]["energy"])
+    energy = margin(runs["SMC1", 0]["energy"], runs["LC", 0]["energy"])
     printed_energy = 100 * ((1 + printed.ENERGY_OVER["LC"]) / (1 + printed.ENERGY_OVER["SMC"]) - 1)
     return sum((a - b) ** 2 for a, b in zip(ours, said, strict=True)) + ((energy - printed_energy) / 6) ** 2
 
@@ -94,9 +95,9 @@ def search(misfit: Misfit, start: Values, tries: int, rng: np.random.Generator) 
     best, least, spread = start, misfit(start), 0.1
     for _ in range(tries):
         tried = best * np.exp(spread * rng.standard_normal(len(best)) * (rng.random(len(best)) < 0.5))
-        found = misfit(tried)
-        if found < least:
-            best, least, spread = tried, found, min(0.25, 1.15 * spread)
+        value = misfit(tried)
+        if value < least:
+            best, least, spread = tried, value, min(0.25, 1.15 * spread)
         else:
             spread = max(0.01, 0.99 * spread)
     return best, least
@@ -137,8 +138,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     start = used if given.from_random is None else random_start(misfit, ranges, given.from_random, rng)
     best, least = search(misfit, start, given.tries, rng)
     print(f"misfit: {misfit(used):.3f} in use, {least:.3f} found in {given.tries} tries")
-    for name, value, found in zip(names, used, best, strict=True):
-        print(f"  {name:28} {value:10.4g} {found:10.4g}")
+    for name, value, better in zip(names, used, best, strict=True):
+        print(f"  {name:28} {value:10.4g} {better:10.4g}")
     return 0
 
 

@@ -1,4 +1,6 @@
-"""How surely the device's swing-up captures within its cable's range: `python -m cosim.hil.robustness`.
+"""How surely the device's swing-up captures within its cable's range.
+
+    python -m benchmarks.device_swing_up [--draws N] [--seed SEED] [--scenario NAME] [--fmus FOLDER]
 
 Every draw is a run of a scenario from hanging, on several parameter sets and at several rates: both dampings within 20 % of
 the set's, encoder offsets anywhere in a count; every other draw begins with a small swing instead of at rest.
@@ -16,13 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from cosim.campaign import Job, run_all
+from cosim.errors import UserError
+from cosim.judged_signals import kept_upright, takeovers, wrapped
+from cosim.results import Result
+from cosim.scenario import load_scenario
 from plant_fmu.parameters import PARAMETER_SETS
-
-from ..campaign import Job, run_all
-from ..errors import UserError
-from ..judged_signals import kept_upright, takeovers, wrapped
-from ..results import Result
-from ..scenario import load_scenario
 
 SETS = ("ident", "matrices", "hcs")
 STEPS = (1e-3, 2e-3)
@@ -71,7 +72,7 @@ def jobs(draws: int, seed: int, name: str = "device") -> list[Job[Key]]:
     scenario, folder = load_scenario(name)
     hanging = float(scenario.plant.start.get("delta_0", -math.pi))
     rng = np.random.default_rng(seed)
-    found = []
+    drawn = []
     for draw in range(draws):
         for parameters in SETS:
             numbers = PARAMETER_SETS[parameters].parameters
@@ -87,11 +88,11 @@ def jobs(draws: int, seed: int, name: str = "device") -> list[Job[Key]]:
             for variable, most in SWING.items():
                 swing = float(rng.uniform(-most, most)) if draw % 2 else 0.0
                 changes[f"plant.start.{variable}"] = swing + (hanging if variable == "delta_0" else 0.0)
-            found += [
+            drawn += [
                 Job(Key(parameters, step, draw), scenario.changed({**changes, "run.step": step}), folder)
                 for step in STEPS
             ]
-    return found
+    return drawn
 
 
 def table(outcomes: Mapping[Key, Outcome]) -> str:
@@ -99,14 +100,14 @@ def table(outcomes: Mapping[Key, Outcome]) -> str:
     lines = [f"{'set':9} {'step':>5} {'good':>9} {'latest capture':>15} {'median':>8} {'largest arm angle':>18}"]
     for parameters in SETS:
         for step in STEPS:
-            found = [o for key, o in outcomes.items() if key[:2] == (parameters, step)]
-            captures = [o.capture for o in found]
+            ours = [o for key, o in outcomes.items() if key[:2] == (parameters, step)]
+            captures = [o.capture for o in ours]
             cells = (
                 f"{parameters:9} {1e3 * step:2.0f} ms",
-                f"{f'{sum(o.good for o in found)}/{len(found)}':>9}",
+                f"{f'{sum(o.good for o in ours)}/{len(ours)}':>9}",
                 f"{max(captures):13.2f} s",
                 f"{np.median(captures):6.2f} s",
-                f"{max(o.arm for o in found):14.2f} rad",
+                f"{max(o.arm for o in ours):14.2f} rad",
             )
             lines.append(" ".join(cells))
     return "\n".join(lines)
