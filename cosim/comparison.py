@@ -42,7 +42,7 @@ from .tables import mark
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ABOUT = "comparison.json"
+CONTENTS = "comparison.json"
 
 UNSTEADY = 0.25
 """Share of draws without a steady state above which a mean over the window is flagged; single runs are wrongly so in a few
@@ -145,10 +145,10 @@ class Comparison:
     @cached_property
     def of_law(self) -> dict[str, dict[int | None, Draw]]:
         """The draws by law and number."""
-        found: dict[str, dict[int | None, Draw]] = {}
+        by_law: dict[str, dict[int | None, Draw]] = {}
         for draw in self.draws:
-            found.setdefault(draw.law, {})[draw.number] = draw
-        return found
+            by_law.setdefault(draw.law, {})[draw.number] = draw
+        return by_law
 
     @property
     def count(self) -> int:
@@ -250,14 +250,14 @@ class Comparison:
         what an earlier comparison has left there and this one does not replace is removed.
         """
         folder = Path(folder)
-        earlier = _files_of(folder / ABOUT)
-        with staging(folder, last=ABOUT) as place:
+        earlier = _files_of(folder / CONTENTS)
+        with staging(folder, last=CONTENTS) as place:
             self._save(place)
             if pictures is not None:
                 pictures(place)
-            about = {**self.about(), "files": _digests(place)}
-            write_file(place / ABOUT, json.dumps(about, indent=1) + "\n")
-        for name in earlier.keys() - about["files"].keys():
+            contents = {**self.summary(), "files": _digests(place)}
+            write_file(place / CONTENTS, json.dumps(contents, indent=1) + "\n")
+        for name in earlier.keys() - contents["files"].keys():
             if _sha256(folder / name) == earlier[name]:
                 (folder / name).unlink()
 
@@ -270,11 +270,11 @@ class Comparison:
             start = self.scenario.plant.start
             if d.number is not None:
                 start = drawn(self.scenario, d.number, self.chance).plant.start
-            about = ["" if d.number is None else d.number, *(start.get(name, "") for name in offsets)]
-            lines.append(_row(d.law, *about, int(d.kept), *(repr(d.metrics.values[n]) for n in names)))
+            cells = ["" if d.number is None else d.number, *(start.get(name, "") for name in offsets)]
+            lines.append(_row(d.law, *cells, int(d.kept), *(repr(d.metrics.values[n]) for n in names)))
         write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
 
-    def about(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the means, their intervals and the changes from the first law on, safe for JSON."""
         base, *others = self.of_law
         laws: dict[str, Any] = {}

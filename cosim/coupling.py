@@ -62,15 +62,15 @@ class Coupling:
 
     def unit(self, name: str) -> str:
         """Return the unit of `instance.variable`, see `unit_in`."""
-        return unit_in(name, {owner: found.variables for owner, found in self.instances.items()}, self._plain_wires)
+        return unit_in(name, {owner: one.variables for owner, one in self.instances.items()}, self._plain_wires)
 
     def _end(self, name: str, causality: str) -> tuple[str, str]:
         instance, variable = split(name)
         if not variable or instance not in self.instances:
             raise UserError(f"{name!r} names no instance's variable{did_you_mean(instance, self.instances)}")
-        found = self.instances[instance].variable(variable)
-        if found.causality != causality:
-            raise UserError(f"{name} must be an {causality}, found {found.causality}")
+        declared = self.instances[instance].variable(variable)
+        if declared.causality != causality:
+            raise UserError(f"{name} must be an {causality}, found {declared.causality}")
         return instance, variable
 
     def _check_wire(self, source: tuple[str, str], target: tuple[str, str], wire: Wire) -> None:

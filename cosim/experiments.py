@@ -123,10 +123,10 @@ def run_experiments(
         for number in experiment.numbers
         for law in laws
     ]
-    found = run_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
+    judged = run_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
     comparisons = []
     for s, experiment in enumerate(experiments):
-        draws = tuple(Draw(law, n, *found[s, law, n]) for law in laws for n in experiment.numbers)
+        draws = tuple(Draw(law, n, *judged[s, law, n]) for law in laws for n in experiment.numbers)
         if len({tuple(draw.metrics.quantities) for draw in draws}) > 1:
             raise UserError(
                 f"runs of different {experiment.entry} are judged by different signals; evaluate says which"

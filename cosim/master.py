@@ -105,7 +105,7 @@ class _Recorder:
         self.names = {kind: [n for n in names if is_real[n] is kind] for kind in (True, False)}
         self.order = list(names)
         slots = dict(zip(names, exchange.recorded, strict=True))
-        self.slots = {kind: [slots[n] for n in chosen] for kind, chosen in self.names.items()}
+        self.slots = {kind: [slots[n] for n in names_of_kind] for kind, names_of_kind in self.names.items()}
         types = {True: np.float64, False: np.int64}
         self.tables = {kind: np.empty((rows, len(s)), types[kind]) for kind, s in self.slots.items()}
 
@@ -207,7 +207,7 @@ def simulate(
         raise UserError(
             f"engine must be auto or fmpy where FMUs are run for model exchange, found native and {', '.join(integrated)}"
         )
-    about = {
+    known = {
         "versions": dict(versions()),
         "fmus": {
             n: {"file": i.path.name, "model": i.description.modelName, "guid": i.description.guid}
@@ -224,21 +224,23 @@ def simulate(
         "complete": False,
         **(metadata or {}),
     }
-    run = _Run(coupling, recorded, steps, every, about)
+    run = _Run(coupling, recorded, steps, every, known)
     return run.execute(step, start_time, order, engine, progress)
 
 
 def _conversions(system: SystemStructure) -> dict[str, Any]:
     """Return factor and offset of the wires that convert, by their targets, as metadata; nothing where none does."""
-    found = {w.target: [w.factor, w.offset] for w in system.wires if w.converts}
-    return {"conversions": found} if found else {}
+    conversions = {w.target: [w.factor, w.offset] for w in system.wires if w.converts}
+    return {"conversions": conversions} if conversions else {}
 
 
 class _Run:
     """One run, from instantiation to the freed instances."""
 
-    def __init__(self, coupling: Coupling, recorded: list[str], steps: int, every: int, about: dict[str, Any]) -> None:
-        self.coupling, self.steps, self.every, self.about = coupling, steps, every, about
+    def __init__(
+        self, coupling: Coupling, recorded: list[str], steps: int, every: int, metadata: dict[str, Any]
+    ) -> None:
+        self.coupling, self.steps, self.every, self.metadata = coupling, steps, every, metadata
         self.recorded = recorded
         self.recorder: _Recorder | None = None
         self.time, self.current = 0.0, ""
@@ -258,7 +260,7 @@ class _Run:
             with second_ends(), deferred_interrupt() as self.interrupt:
                 self._start(start_time, start_time + self.steps * step)
                 loop(step, start_time, order, progress)
-            self.about["complete"] = True
+            self.metadata["complete"] = True
         except FmuError as error:
             where = f"at t = {self.time:.9g} s: "
             raise SimulationError(where + str(error), self._result(), self.time, self.current) from None
@@ -354,7 +356,7 @@ class _Run:
 
     def _result(self) -> Result:
         messages = {n: i.messages for n, i in self.coupling.instances.items() if i.messages}
-        about = {**self.about, "messages": messages}
+        metadata = {**self.metadata, "messages": messages}
         if self.recorder is None:
-            return Result(np.zeros(0), {}, {}, about)
-        return self.recorder.result(self.coupling, about)
+            return Result(np.zeros(0), {}, {}, metadata)
+        return self.recorder.result(self.coupling, metadata)

@@ -79,13 +79,13 @@ def quantities_of(evaluation: Evaluation) -> dict[str, MetricMeaning]:
     controls = [
         _control_quantities(evaluation, words, suffix, group) for suffix, group in evaluation.control_groups.items()
     ]
-    found = [q for some in (*errors, *controls) for q in some]
+    meanings = [q for some in (*errors, *controls) for q in some]
     if evaluation.mode is not None and evaluation.mode.value(SWING_UP) is not None:
-        found += [
+        meanings += [
             MetricMeaning("capture_time", "capture", "s", "the stabilizing law first acts", "capture", never=True),
             MetricMeaning("captures", "captures", "", "how often the stabilizing law took over", "captures"),
         ]
-    return {q.name: q for q in found}
+    return {q.name: q for q in meanings}
 
 
 def _error_quantities(

@@ -130,13 +130,13 @@ def unsteady(metrics: Metrics) -> str:
     if metrics.steady:
         return ""
     trends = {q.symbol: metrics.values[q.name] for q in metrics.quantities.values() if q.role == "trend"}
-    symbol, found = next((symbol, value) for symbol, value in trends.items() if value != 1.0)
-    if math.isnan(found):
+    symbol, ratio = next((symbol, value) for symbol, value in trends.items() if value != 1.0)
+    if math.isnan(ratio):
         return f"no steady state can be told: the run is shorter than {WINDOW:g} s, or has too few rows there"
-    times = found if found > 1.0 else 1.0 / found
+    times = ratio if ratio > 1.0 else 1.0 / ratio
     e = symbol.removeprefix("steady trend").strip() or measure_of(metrics.quantities, "rms").symbol.split()[-1]
     return (
-        f"no steady state: over the last {WINDOW:g} s RMS {e} {'falls' if found > 1.0 else 'grows'} {times:.3g} times "
+        f"no steady state: over the last {WINDOW:g} s RMS {e} {'falls' if ratio > 1.0 else 'grows'} {times:.3g} times "
         "from half to half; a longer run would tell"
     )
 
@@ -216,12 +216,12 @@ def evaluate_alike(results: Mapping[str, Recording]) -> dict[str, Metrics]:
         for name, evaluation in evaluations.items():
             if None in evaluation.settled:
                 whole[name] = evaluation.model_copy(update={"tolerances": widest})
-    found = {name: _judged(results[name], evaluation) for name, evaluation in whole.items()}
-    quantities = next(iter(found.values())).quantities
-    other = next((name for name, m in found.items() if m.quantities != quantities), None)
+    judged = {name: _judged(results[name], evaluation) for name, evaluation in whole.items()}
+    quantities = next(iter(judged.values())).quantities
+    other = next((name for name, m in judged.items() if m.quantities != quantities), None)
     if other is not None:
         raise UserError(f"results side by side must be judged by the same signals, and {other} is judged by others")
-    return found
+    return judged
 
 
 def _check(result: Recording, evaluation: Evaluation) -> None:

@@ -136,12 +136,12 @@ class Result(Recording):
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
         columns = [self.time, *self.signals.values()]
-        about = {"units": self.units, "metadata": self.metadata}
+        contents = {"units": self.units, "metadata": self.metadata}
         with uninterrupted():
             table = [_names(["time", *self.signals]) + b"\n"]
             for k in range(0, len(self.time), ROWS_AT_ONCE):
                 table.append(_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) + b"\n")
-            header = {"format": FORMAT, "rows": len(self.time), "sha256": _sha256(table), **about}
+            header = {"format": FORMAT, "rows": len(self.time), "sha256": _sha256(table), **contents}
             header["description_sha256"] = _seal(header)
             write_files({path: table, path.with_suffix(".json"): json.dumps(header, indent=1) + "\n"})
 
@@ -252,10 +252,10 @@ class Interrupted(KeyboardInterrupt):
 def _description(path: Path) -> dict[str, Any]:
     """Return the description of a table, checked against its own digest; raise UserError for another file."""
     header = parse_json(read_text(path, "result"), path, finite=False)
-    found = header.get("format") if isinstance(header, dict) else None
-    if found in EARLIER_FORMATS:
+    version = header.get("format") if isinstance(header, dict) else None
+    if version in EARLIER_FORMATS:
         raise UserError(f"{path} is of an earlier version, which kept no digest of the table; make the result again")
-    if found != FORMAT:
+    if version != FORMAT:
         raise UserError(f"{path} is not the description of a result, whose format is {FORMAT!r}")
     digest = header.pop("description_sha256", None)
     if digest != _seal(header):

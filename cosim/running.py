@@ -102,10 +102,10 @@ def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None,
     >>> bool(abs(result["plant.angle"][-1]) < 1e-4)
     True
     """
-    chosen, folder, place = _located(scenario, changes, fmus)
-    system = build_system(chosen, place, folder)
-    _warn(remarks_before(system, chosen))
-    result = run_scenario(chosen, place, folder)
+    located, folder, place = _located(scenario, changes, fmus)
+    system = build_system(located, place, folder)
+    _warn(remarks_before(system, located))
+    result = run_scenario(located, place, folder)
     _warn(remarks_after(result, system))
     return result
 
@@ -158,12 +158,12 @@ def compare(
     """
     from .experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
 
-    chosen, folder, place = _located(scenario, changes, fmus)
+    located, folder, place = _located(scenario, changes, fmus)
     if laws is None:
-        laws = [law for law in laws_of(chosen, place, folder) if law in LAWS]
-    system = build_system(chosen, place, folder)
-    _warn(remarks_before(system, chosen))
-    (comparison,) = run_experiments([Experiment(chosen, folder, draws)], place, laws, workers)
+        laws = [law for law in laws_of(located, place, folder) if law in LAWS]
+    system = build_system(located, place, folder)
+    _warn(remarks_before(system, located))
+    (comparison,) = run_experiments([Experiment(located, folder, draws)], place, laws, workers)
     _warn([*comparison.overflows(), *rest_remarks(next(iter(comparison.results.values())), system)])
     return comparison
 
@@ -174,8 +174,8 @@ def _located(
     """Return the scenario with its changes, its folder and the folder of its FMUs."""
     if isinstance(scenario, Scenario):
         return scenario.changed(changes or {}), Path(), Path(fmus)
-    chosen, folder, place = load_located(os.fspath(scenario), Path(fmus))
-    return chosen.changed(changes or {}), folder, place
+    loaded, folder, place = load_located(os.fspath(scenario), Path(fmus))
+    return loaded.changed(changes or {}), folder, place
 
 
 def _warn(sentences: Sequence[str]) -> None:

@@ -289,8 +289,8 @@ def load_scenario(name: FilePath) -> tuple[Scenario, Path]:
 
 def load_located(name: str, fmus: Path) -> tuple[Scenario, Path, Path]:
     """Return (scenario, its folder, the folder of its FMUs): `fmus`, unless it is an SSP file, which has its own."""
-    chosen, folder = load_scenario(name)
-    return chosen, folder, folder if Path(name).suffix == ssp.SUFFIX else fmus
+    scenario, folder = load_scenario(name)
+    return scenario, folder, folder if Path(name).suffix == ssp.SUFFIX else fmus
 
 
 def _validated(data: dict[str, Any], source: str) -> Scenario:

@@ -96,9 +96,9 @@ class _Plan:
         ):
             if value is not None and not ours:
                 fmu = self.scenario.parts.get(entry.partition(".")[0])
-                found = "there is none" if fmu is None else f"{fmu.fmu} is another FMU"
+                there = "there is none" if fmu is None else f"{fmu.fmu} is another FMU"
                 raise UserError(
-                    f"{entry} is for the FMU {unit}, and {found}; its values go under start, found {value!r}"
+                    f"{entry} is for the FMU {unit}, and {there}; its values go under start, found {value!r}"
                 )
         if plant.measurement is not None and self.scenario.wires is not None:
             raise UserError(
@@ -139,41 +139,43 @@ class _Plan:
         return tuple(wiring.by_names(self.variables[CONTROLLER], self.variables[PLANT], measured))
 
     def signals(self) -> list[Signal]:
-        found = []
+        signals = []
         disturbance = self.scenario.disturbance
         if disturbance.sines and disturbance.gain:
             target = f"{PLANT}.{disturbance.input or self._disturbed()}"
-            found.append(planned(target, disturbance, self._variable(target)))
+            signals.append(planned(target, disturbance, self._variable(target)))
         for section in self.scenario.signals:
             function = function_of(section, self.files.tables)
-            found.append(planned(section.input, function, self._variable(section.input), recorded=True))
-        return found
+            signals.append(planned(section.input, function, self._variable(section.input), recorded=True))
+        return signals
 
     def _disturbed(self) -> str:
         """Return the input that a disturbance acts on where the scenario does not say."""
         inputs = wiring.inputs(self.variables[PLANT]) if PLANT in self.paths else []
         if self.swings:
             return "disturbance_voltage"
-        found = [name for name in inputs if name.endswith("_disturbance")]
-        if len(found) != 1:
-            raise UserError(f"disturbance.input must say which input of the plant, one of {', '.join(found or inputs)}")
-        return found[0]
+        disturbances = [name for name in inputs if name.endswith("_disturbance")]
+        if len(disturbances) != 1:
+            raise UserError(
+                f"disturbance.input must say which input of the plant, one of {', '.join(disturbances or inputs)}"
+            )
+        return disturbances[0]
 
     def _variable(self, name: str) -> Any:
         component, _, variable = name.partition(".")
         return self.variables.get(component, {}).get(variable)
 
     def _start(self, name: str) -> dict[str, StartValue]:
-        chosen = self.scenario.parts[name].start
+        own_start = self.scenario.parts[name].start
         if name == CONTROLLER and self.balances:
             ideal = self.measurement if self.swings and self.scenario.wires is None else ""
             step = self.scenario.run.step
-            return pendulum.controller_start(self.own[name], chosen, step, self.files.design, ideal)
+            return pendulum.controller_start(self.own[name], own_start, step, self.files.design, ideal)
         if name == PLANT:
             seed = self.scenario.run.seed
-            drawn = {} if seed is None else random_measurement({**self.own[name], **chosen}, seed)
-            return pendulum.plant_start(self.scenario.plant.parameters, self.folder) | drawn | chosen
-        return dict(chosen)
+            drawn = {} if seed is None else random_measurement({**self.own[name], **own_start}, seed)
+            return pendulum.plant_start(self.scenario.plant.parameters, self.folder) | drawn | own_start
+        return dict(own_start)
 
     def _check_fed(self, wires: Sequence[Wire], signals: Sequence[Signal], start: Mapping[str, StartValue]) -> None:
         targets = [*(w.target for w in wires), *(s.target for s in signals)]
@@ -183,14 +185,14 @@ class _Plan:
         wiring.check_fed(self.variables[CONTROLLER], fed, listed=self.scenario.wires is not None)
 
     def _sequence(self, wires: Sequence[Wire]) -> Sequence[str]:
-        chosen, names = self.scenario.run.sequence, list(self.paths)
-        if chosen is None:
+        listed, names = self.scenario.run.sequence, list(self.paths)
+        if listed is None:
             return wiring.sequence(names, wires)
-        if sorted(chosen) != sorted(names):
+        if sorted(listed) != sorted(names):
             raise UserError(
-                f"run.sequence must name each component once: {', '.join(names)}, found {', '.join(chosen)}"
+                f"run.sequence must name each component once: {', '.join(names)}, found {', '.join(listed)}"
             )
-        return chosen
+        return listed
 
     def evaluation(self) -> Evaluation | None:
         section = self.scenario.evaluate

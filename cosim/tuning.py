@@ -125,8 +125,8 @@ class Tuning:
 
 def chattering_of(quantities: Mapping[str, MetricMeaning]) -> MetricMeaning | None:
     """Return the one metric of chattering; None where there is none, or one for each of several units."""
-    found = [q for q in quantities.values() if q.role == "variation"]
-    return found[0] if len(found) == 1 else None
+    variations = [q for q in quantities.values() if q.role == "variation"]
+    return variations[0] if len(variations) == 1 else None
 
 
 @dataclass(frozen=True)
@@ -193,11 +193,11 @@ class TuningProblem:
         d = self.design
         if d is None:
             return {(None, None): None}
-        found: dict[Family, Design | None] = {}
+        designs: dict[Family, Design | None] = {}
         for mu in grid.mu:
             solved = inverse_design(d.system, Options(mu=mu, alpha=d.alpha, u_max=1.0))
-            found |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
-        return found
+            designs |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
+        return designs
 
     def at(self, point: Point, design: Design | None) -> Scenario:
         """Return the scenario with the IHC of a point."""
@@ -257,9 +257,9 @@ def tune(
             for scenario in [problem.at(point, designs[point.mu, point.u_max])]
             for draw in problem.numbers
         ]
-        found = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
-        for point in dict.fromkeys(key[0] for key in found):
-            runs[point] = [found[point, draw] for draw in problem.numbers]
+        by_key = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
+        for point in dict.fromkeys(key[0] for key in by_key):
+            runs[point] = [by_key[point, draw] for draw in problem.numbers]
             outcomes[point] = _outcome(point, runs[point], runs[start], problem)
 
     down = sorted(grid.a_min, reverse=True)

@@ -149,12 +149,12 @@ class Explanation:
         return joint.join(self.said) + (f" ({'; '.join(advice)})" if advice else "")
 
 
-def likeliest(found: Iterable[Explanation], wires: Mapping[str, Sequence[ComparedWire]]) -> str | None:
+def likeliest(explanations: Iterable[Explanation], wires: Mapping[str, Sequence[ComparedWire]]) -> str | None:
     """Return the likeliest explanation in words, or all that are about as likely; None where there is none.
 
     `wires` by the controller's quantities.
     """
-    ranked = sorted(found, key=lambda e: (e.cost(wires), len(e.said), len(e.changed), e.said))
+    ranked = sorted(explanations, key=lambda e: (e.cost(wires), len(e.said), len(e.changed), e.said))
     if not ranked:
         return None
     least, kept = ranked[0].cost(wires), list[Explanation]()

@@ -53,8 +53,8 @@ def test_examples_print_what_they_say(name, tmp_path, monkeypatch):
 def exported(tmp_path_factory):
     """The folder that the examples of cosim run in, with an arm's FMUs."""
     folder = tmp_path_factory.mktemp("examples")
-    matrices = {"A": [[0, 1], [4, 0]], "B": [[0], [1]], "K": [[-8, -4]]}
-    arm = ihc_fmu.System(**matrices, states=("angle [rad]", "rate [rad/s]"), name="arm")
+    A, B, K = [[0, 1], [4, 0]], [[0], [1]], [[-8, -4]]
+    arm = ihc_fmu.System(A=A, B=B, K=K, states=("angle [rad]", "rate [rad/s]"), name="arm")
     cosim.export(ihc_fmu.synthesize(arm), folder / "fmus")
     return folder
 

@@ -65,21 +65,23 @@ def compare(
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
-    chosen, folder, fmus = load_located(scenario[0], fmus)
-    chosen = chosen.changed(dict(assignments(change)))
+    loaded_scenario, folder, fmus = load_located(scenario[0], fmus)
+    loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
     if vary is not None:
         entry, values = varied(vary)
         names = list(values)
     else:
-        entry, values, known = LAW, None, laws_of(chosen, fmus, folder)
+        entry, values, known = LAW, None, laws_of(loaded_scenario, fmus, folder)
         names = [name for name in known if name in LAWS] if laws is None else [law.strip() for law in laws.split(",")]
         if not names or not set(names) <= set(known) or len(set(names)) < len(names):
             raise UserError(f"--laws must be different ones of {', '.join(known)}, found {laws or ', '.join(names)!r}")
     check_names(names)
-    compared = [chosen] if values is None else [chosen.changed({entry: value}) for value in values.values()]
+    compared = (
+        [loaded_scenario] if values is None else [loaded_scenario.changed({entry: value}) for value in values.values()]
+    )
     say_notes(dict.fromkeys(note for one in compared for note in remarks_before(build_system(one, fmus, folder), one)))
-    check_folder(output / chosen.name, names)
-    run_and_write([Experiment(chosen, folder, draws, entry, values)], fmus, output, names, workers)
+    check_folder(output / loaded_scenario.name, names)
+    run_and_write([Experiment(loaded_scenario, folder, draws, entry, values)], fmus, output, names, workers)
 
 
 def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:

@@ -43,10 +43,10 @@ def device(
     from ..scenario import load_scenario
     from ..scenario_system import build_system
 
-    chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed(dict(assignments(change)))
-    check_device(chosen)
-    _, plant = build_system(chosen, fmus, folder).components
+    loaded_scenario, folder = load_scenario(scenario)
+    loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
+    check_device(loaded_scenario)
+    _, plant = build_system(loaded_scenario, fmus, folder).components
     board = Board(plant, parse(faults))
     if record is not None:
         check_replaceable(record)

@@ -225,12 +225,12 @@ def progress() -> Progress:
     )
 
 
-def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
+def print_design(design: Design, reasons: Sequence[str] = ()) -> None:
     """Print a design's numbers, why they were chosen, and its certificate."""
     from rich.table import Table
 
-    table = Table(title=escaped(found.title), show_header=False, title_justify="left")
-    for label, text in found.summary():
+    table = Table(title=escaped(design.title), show_header=False, title_justify="left")
+    for label, text in design.summary():
         table.add_row(label, escaped(text))
     console.print(table)
     for reason in reasons:

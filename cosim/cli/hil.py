@@ -102,15 +102,19 @@ def hil(
         raise UserError(f"--on-fall must be swing-up or stop, found {on_fall!r}")
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise UserError(f"--rate must lie in [{LOWEST_RATE:g}, {HIGHEST_RATE:g}] Hz, found {rate:g} Hz")
-    chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
-    if chosen.plant.measurement == "ideal":
-        raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    check_device(chosen)
-    system = build_system(chosen, fmus, folder, controller)
+    loaded_scenario, folder = load_scenario(scenario)
+    loaded_scenario = loaded_scenario.changed(
+        {**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration}
+    )
+    if loaded_scenario.plant.measurement == "ideal":
+        raise UserError(
+            f"a device measures with encoders, the scenario {loaded_scenario.name} says {loaded_scenario.plant.measurement}"
+        )
+    check_device(loaded_scenario)
+    system = build_system(loaded_scenario, fmus, folder, controller)
     component, plant = system.components
     signals = system.signals
-    say_notes(remarks_before(system, chosen))
+    say_notes(remarks_before(system, loaded_scenario))
     settings = Settings(
         rate=rate,
         duration=duration,
@@ -124,8 +128,8 @@ def hil(
     if check:
         _check(chosen_device, component, settings, signals)
     else:
-        about = {"scenario": chosen.model_dump(mode="json"), **_judged(component, signals)}
-        _run(chosen_device, component, settings, signals, about, output, status)
+        metadata = {"scenario": loaded_scenario.model_dump(mode="json"), **_judged(component, signals)}
+        _run(chosen_device, component, settings, signals, metadata, output, status)
 
 
 def _check_options(device: str, *, lockstep: bool, faults: str, stop_on_misses: bool) -> None:
@@ -175,7 +179,7 @@ def _run(
     component: Component,
     settings: Settings,
     signals: Sequence[Signal],
-    about: Mapping[str, Any],
+    metadata: Mapping[str, Any],
     output: Path,
     status: bool | None,
 ) -> None:
@@ -194,7 +198,7 @@ def _run(
         component,
         settings,
         path,
-        about,
+        metadata,
         say=lambda text: problems.print(f"[dim]{escaped(text)}[/]"),
         signals=signals,
     )

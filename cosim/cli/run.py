@@ -44,10 +44,10 @@ def run(
     from ..scenario_run import run_scenario
     from ..scenario_system import build_system
 
-    chosen, folder, fmus = load_located(scenario, fmus)
+    loaded_scenario, folder, fmus = load_located(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
-    chosen = chosen.changed(changes)
-    path = output or Path("results") / f"{chosen.name}.csv"
+    loaded_scenario = loaded_scenario.changed(changes)
+    path = output or Path("results") / f"{loaded_scenario.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
     unfinished = path.with_suffix(".partial.csv")  # an earlier complete result stays
@@ -56,13 +56,13 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
-    system = build_system(chosen, fmus, folder)
-    say_notes(remarks_before(system, chosen))
+    system = build_system(loaded_scenario, fmus, folder)
+    say_notes(remarks_before(system, loaded_scenario))
     with progress() as bar:
-        task = bar.add_task(chosen.name, total=None)
+        task = bar.add_task(loaded_scenario.name, total=None)
         try:
             result = run_scenario(
-                chosen,
+                loaded_scenario,
                 fmus,
                 folder,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
@@ -89,7 +89,7 @@ def run(
     if plot and can_evaluate(result) and can_draw(result):
         from ..plots import save_overview
 
-        picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
+        picture = save_overview(result, path.with_suffix(".png"), loaded_scenario.description or loaded_scenario.name)
         console.print(f"wrote {escaped(picture)}")
     if can_evaluate(result):
         print_metrics(result)
