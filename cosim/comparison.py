@@ -7,7 +7,7 @@ import hashlib
 import io
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -40,7 +40,9 @@ from .scenario import Scenario
 from .tables import mark
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from ihc_fmu.design import Design
+
+    from .plots import Picture
 
 CONTENTS = "comparison.json"
 
@@ -120,7 +122,7 @@ class Comparison:
             tables.append((f"{name}: over {base}{drawn}", ["", *others], self.changes()))
         return tables
 
-    def plot(self) -> Figure:
+    def plot(self) -> Picture:
         """Draw what the laws are judged by, over each other, of the typical draw.
 
         Returns
@@ -131,6 +133,58 @@ class Comparison:
         from .plots import errors_of  # noqa: PLC0415 - heavy
 
         return errors_of(self.results)
+
+    def report(
+        self,
+        path: FilePath,
+        *,
+        notes: Sequence[str] = (),
+        design: Design | None = None,
+        folder: FilePath | None = None,
+    ) -> Path:
+        """Write a page about the comparison, HTML in one file: tables, remarks, plots to zoom into, what was run.
+
+        Parameters
+        ----------
+        path
+            The page, `*.html`.
+        notes
+            What is to be known besides the remarks.
+        design
+            The controller's design, whose certificate the page shows; None: no certificate.
+        folder
+            Where `save` writes the comparison to, to whose tables the page has links; None: no links.
+
+        Returns
+        -------
+        pathlib.Path
+            The page.
+
+        Raises
+        ------
+        UserError
+            Where it cannot be written, or would replace a file of somebody else.
+        """
+        from .report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
+
+        base, *others = self.of_law
+        settling = sum(m.role == "settling" for m in self.quantities.values())
+        roles = ("settling", "integral") if settling == 1 else ("settling",)
+        verdicts = []
+        for law in others:
+            for meaning in (m for m in self.quantities.values() if m.role in roles):
+                text = change_text(self.change(law, base, meaning.name))
+                kind = {"better": "good", "worse": "bad"}.get(text.rpartition(" ")[2], "")
+                verdicts.append(Verdict(text, f"{meaning.symbol}, {law} over {base}", kind))
+        tables = [Table(title.partition(": ")[2], headings, rows) for title, headings, rows in self.tables()]
+        return write_results(
+            path,
+            self.results,
+            self.scenario.description or self.scenario.name,
+            Findings(verdicts, tables, notes, self.remarks()),
+            {} if folder is None else {law: Path(folder) / f"{law}.csv" for law in self.results},
+            design,
+        )
 
     @property
     def quantities(self) -> Mapping[str, MetricMeaning]:

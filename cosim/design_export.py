@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ihc_fmu.controller import regulator_of, resampled
+from ihc_fmu.controller import resampled
 from ihc_fmu.estimation import remarks as estimation_remarks
 from ihc_fmu.observer import remark as observer_remark
-from ihc_fmu.pendulum.start_values import design_values
 from ihc_fmu.system import PENDULUM
 
 from . import certified, pendulum_export, system_export
@@ -68,8 +67,7 @@ def export_remarks(design: Design, changes: Mapping[str, Any]) -> list[str]:
     Of the estimator of what is not measured; of start values that no certificate covers.
     """
     if is_pendulums(design):
-        return certified.remarks(design_values(design), changes)
+        return certified.remarks(certified.start_values(design), changes)
     design = resampled(design, changes.get("sample_time"))
-    own = {v.name: v.start for v in regulator_of(design).exported()[0].variables}
     observer = [] if design.system.observer is None else [observer_remark(design)]
-    return [*estimation_remarks(design), *observer, *certified.remarks(own, changes)]
+    return [*estimation_remarks(design), *observer, *certified.remarks(certified.start_values(design), changes)]

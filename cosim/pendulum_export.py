@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from fmu_export.variables import Interface, Value
     from ihc_fmu.design import Design
 
-    Plan = tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str]
+    Plan = tuple[NativeUnit, type[GuardedSlave], Mapping[str, Value], str, Mapping[str, bytes]]
 
 
 class Kind(StrEnum):
@@ -86,6 +86,7 @@ def _planned(
     other_model: bool,
 ) -> tuple[tuple[Plan, Plan], list[list[str] | None], list[tuple[str, str]]]:
     """Return plant and controller to write, of each the outputs that stay such, and the wires; raises as `export_units`."""
+    from ihc_fmu.design import DESIGN_FILE
     from ihc_fmu.pendulum.documentation import notes as controller_notes
     from ihc_fmu.pendulum.native_unit import NATIVE as CONTROLLER
     from ihc_fmu.pendulum.slave import IhcController
@@ -107,15 +108,16 @@ def _planned(
     A, b, k_lin = design.A, design.b, design.k_lin
     sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)
     plans = (
-        (PLANT, QubeServo2, {**plant_start_values(plant_set), **changes["plant"]}, plant_notes(plant_set)),
+        (PLANT, QubeServo2, {**plant_start_values(plant_set), **changes["plant"]}, plant_notes(plant_set), {}),
         (
             CONTROLLER,
             IhcController,
             controller_start_values(design, nominal_set, sliding, changes["controller"]),
             controller_notes(design, nominal_set.name),
+            {DESIGN_FILE: design.to_json().encode()},
         ),
     )
-    for native, _, start, _ in plans:
+    for native, _, start, *_ in plans:
         native.twin(native.interface.start_values(start))  # refuse both before writing either
     kept = kept_outputs(outputs, {"plant": PLANT.interface, "controller": CONTROLLER.interface}, wires)
     problem = misfit(plans[1][2], plans[0][2])
@@ -140,12 +142,12 @@ def _export(
     from fmu_export.ssp import write_ssp
 
     paths = []
-    for (native, slave, start, notes), shown in zip(plans, kept, strict=True):
-        path = output / f"{native.interface.name}.fmu"
+    for (native, slave, start, notes, inside), shown in zip(plans, kept, strict=True):
+        path, common = output / f"{native.interface.name}.fmu", {"origin": origin(), "resources": inside}
         if kind is Kind.native:
-            paths.append(export_native_fmu(native, path, start, notes, platforms, building, shown, origin=origin()))
+            paths.append(export_native_fmu(native, path, start, notes, platforms, building, shown, **common))
         else:
-            paths.append(export_python_fmu(slave, path, start, notes, shown, origin=origin()))
+            paths.append(export_python_fmu(slave, path, start, notes, shown, **common))
     plant, controller = paths
     system = write_ssp(
         output / "QubeWithController.ssp", "Qube", {"controller": controller, "plant": plant}, wires, origin()

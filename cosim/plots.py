@@ -55,11 +55,16 @@ def literal(text: str) -> str:
     return text.replace("$", r"\$")
 
 
+def norm_name(evaluation: Evaluation, suffix: str) -> tuple[str, str]:
+    """Return what a group's |e| is called, and its unit."""
+    group = evaluation.error_groups[suffix]
+    name = f"|e {evaluation.errors[group[0]].name}|" if suffix else "|q|" if evaluation.kind == "pendulum" else "|e|"
+    return name, evaluation.error_unit(group)
+
+
 def norm_label(evaluation: Evaluation, suffix: str) -> str:
     """Return what stands beside the axis of a group's |e|."""
-    group = evaluation.error_groups[suffix]
-    unit = evaluation.error_unit(group)
-    name = f"|e {evaluation.errors[group[0]].name}|" if suffix else "|q|" if evaluation.kind == "pendulum" else "|e|"
+    name, unit = norm_name(evaluation, suffix)
     return literal(name + ("" if unit == NO_UNIT else f" [{unit}]"))
 
 
@@ -122,7 +127,7 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
         for suffix, group in evaluation.error_groups.items()
     ]
     figures = [_errors(results, evaluation), _logarithmic(results, norms), _controls(results, evaluation)]
-    if _has_norm(evaluation, results.values()):
+    if has_norm(evaluation, results.values()):
         homogeneous = (f"homogeneous norm {NORM}", lambda result: result[evaluation.norm or ""])
         figures.append(_logarithmic(results, [homogeneous]))
     names = PICTURES[evaluation.kind]
@@ -133,7 +138,7 @@ def save_comparison(results: Mapping[str, Recording], folder: FilePath, title: s
     ]
 
 
-def errors_of(results: Mapping[str, Recording]) -> Figure:
+def errors_of(results: Mapping[str, Recording]) -> Picture:
     """Return what is judged, one curve per entry of `results`, over the whole run and its end."""
     results = {literal(name): _within_range(result) for name, result in results.items()}
     return _errors(results, evaluation_in(next(iter(results.values()))))
@@ -150,7 +155,7 @@ def _within_range(result: Recording) -> Recording:
     )
 
 
-def _has_norm(evaluation: Evaluation, results: Iterable[Recording]) -> bool:
+def has_norm(evaluation: Evaluation, results: Iterable[Recording]) -> bool:
     """Return whether the homogeneous norm is drawn: the pendulum always has one, others where it was recorded."""
     return evaluation.norm is not None and (
         evaluation.kind == "pendulum" or all(evaluation.norm in result.signals for result in results)
@@ -162,13 +167,13 @@ def save_overview(result: Recording, path: FilePath, title: str) -> Path:
     return save_figure(overview(result), path, title)
 
 
-def overview(result: Recording) -> Figure:
+def overview(result: Recording) -> Picture:
     """Return one figure of a single result: what is judged, |e|, controls and homogeneous norm."""
     result = _within_range(result)
     evaluation = evaluation_in(result)
-    has_norm = _has_norm(evaluation, [result])
+    with_norm = has_norm(evaluation, [result])
     groups = evaluation.error_groups if len(evaluation.errors) > 1 else {}
-    count = len(evaluation.errors) + len(groups) + len(evaluation.controls) + has_norm
+    count = len(evaluation.errors) + len(groups) + len(evaluation.controls) + with_norm
     figure = Picture(figsize=(9, 1.8 * max(count, 2)), layout="constrained")
     axes = iter(all_axes := figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0])
     colour = COLOURS.get(law_of(result), COLOURS["IHC"])
@@ -186,7 +191,7 @@ def overview(result: Recording) -> Figure:
         axis = next(axes)
         axis.plot(result.time, result[control.signal], color=colour, lw=1.0, drawstyle="steps-pre")
         axis.set_ylabel(label(control))
-    if has_norm:
+    if with_norm:
         positive(axis := next(axes), result.time, result[evaluation.norm or ""], colour)
         axis.set_ylabel(NORM)
     all_axes[-1].set_xlabel("time [s]")
@@ -195,7 +200,7 @@ def overview(result: Recording) -> Figure:
     return figure
 
 
-def panels_of(results: Mapping[str, Recording], names: Sequence[str]) -> Figure:
+def panels_of(results: Mapping[str, Recording], names: Sequence[str]) -> Picture:
     """Return one figure with a panel for each of the signals `names`, in it a curve for each of `results`.
 
     Raises UserError for a signal that is not there.
@@ -269,7 +274,7 @@ def _draw_error(
         axis.plot(result.time[shown], point[shown], color="0.3", lw=0.8, ls="--", drawstyle="steps-pre")
 
 
-def _errors(results: Mapping[str, Recording], evaluation: Evaluation) -> Figure:
+def _errors(results: Mapping[str, Recording], evaluation: Evaluation) -> Picture:
     """Return what is judged of each result: on the left the whole run, on the right its end, each with its own scale."""
     count, ribbon = len(evaluation.errors), evaluation.mode is not None
     figure = Picture(figsize=(11, 2.9 * count + 1.0), layout="constrained")

@@ -29,7 +29,9 @@ from .recording import Recording
 from .room import check_memory
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from ihc_fmu.design import Design
+
+    from .plots import Picture
 
 FORMAT = "qube-ihc result 2"
 EARLIER_FORMATS = ("qube-ihc result 1",)
@@ -73,7 +75,7 @@ class Result(Recording):
     True
     """
 
-    def plot(self, *names: str) -> Figure:
+    def plot(self, *names: str) -> Picture:
         """Draw the result.
 
         Parameters
@@ -116,6 +118,44 @@ class Result(Recording):
         metrics = evaluate(self)
         why = unsteady(metrics)
         return html_table(f"{caption}{f'; * {why}' if why else ''}", (), metric_rows(metrics))
+
+    def report(
+        self,
+        path: FilePath,
+        *,
+        title: str = "",
+        notes: Sequence[str] = (),
+        design: Design | None = None,
+        table: FilePath | None = None,
+    ) -> Path:
+        """Write a page about the run, HTML in one file: metrics, notes, plots to zoom into, what was run.
+
+        Parameters
+        ----------
+        path
+            The page, `*.html`.
+        title
+            Its title; empty: the scenario's description, or its name.
+        notes
+            What is to be known of the run besides what its FMUs logged.
+        design
+            The controller's design, whose certificate the page shows; None: no certificate.
+        table
+            The file that the result was saved to, to which the page has a link; None: no link.
+
+        Returns
+        -------
+        pathlib.Path
+            The page.
+
+        Raises
+        ------
+        UserError
+            Where it cannot be written, or would replace a file of somebody else.
+        """
+        from .report.pages import write_result  # noqa: PLC0415 - heavy
+
+        return write_result(path, self, title, notes, design, table)
 
     def save(self, path: FilePath) -> None:
         """Write the table `path` (CSV) and then the JSON that describes it, with its number of rows and its SHA-256.

@@ -44,8 +44,8 @@ def files(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) ->
     tables = [section.file for section in scenario.signals if isinstance(section, CsvSignal)]
     return Files(
         {name: find(part.fmu) for name, part in scenario.parts.items()},
-        None if design is None else _beside_or_here(design, folder),
-        {file: _beside_or_here(file, folder) for file in tables},
+        None if design is None else beside_or_here(design, folder),
+        {file: beside_or_here(file, folder) for file in tables},
     )
 
 
@@ -55,7 +55,7 @@ def check_fmus_exist(fmus: Mapping[str, Path]) -> None:
         check_exists(path, "--fmus names the folder of the scenario's FMUs")
 
 
-def _beside_or_here(file: str, folder: FilePath | None) -> Path:
+def beside_or_here(file: str, folder: FilePath | None) -> Path:
     """Return the path of a file that a scenario names: beside it if it is there, else in the current folder."""
     beside = Path(folder or "") / file
     return beside if is_file(beside) else Path(file)

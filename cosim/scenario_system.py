@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fmu_export.files import FilePath
 from ihc_fmu.sampled_unit import check_step
@@ -19,11 +19,14 @@ from .fmu_files import describe, start_values_of
 from .inputs import function_of, planned
 from .pendulum import WIRES
 from .scenario import Scenario
-from .scenario_files import check_fmus_exist, files
+from .scenario_files import beside_or_here, check_fmus_exist, files
 from .start_values import StartValue
 from .structure import Component, Signal, SystemStructure, Wire
 from .unit_definitions import check_units
 from .wiring import CONTROLLER, PLANT, Variables
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
 
 
 def build_system(
@@ -228,6 +231,17 @@ def controller_values(scenario: Scenario, fmus: FilePath, folder: FilePath | Non
     """Return the start values of the controller FMU's own; none where there is no controller."""
     path = files(scenario, fmus, folder).fmus.get(CONTROLLER)
     return {} if path is None else start_values_of(path)
+
+
+def controller_design(
+    system: SystemStructure, scenario: Scenario, folder: FilePath | None = None
+) -> tuple[Design | None, list[str]]:
+    """Return the design of a scenario's controller, and what its certificate does not cover, as `certified.design_of`."""
+    for component in system.components:
+        if component.name == CONTROLLER:
+            file = scenario.controller.design
+            return certified.design_of(component, None if file is None else beside_or_here(file, folder))
+    return None, []
 
 
 def _check_model(system: SystemStructure) -> None:

@@ -3,17 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_comparison, print_results, progress, say_notes
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, varied
+from .display import console, escaped, print_comparison, print_results, progress, remove_earlier, say_notes
+from .options import (
+    SCENARIO_HELP,
+    FmusOption,
+    Page,
+    ReportFileOption,
+    ReportOption,
+    SetOption,
+    assignments,
+    page_wanted,
+    varied,
+)
+
+if TYPE_CHECKING:
+    from ..comparison import Comparison
+
+REPORT = "report.html"
+"""The page among a comparison's files."""
 
 
 def compare(
@@ -48,6 +64,8 @@ def compare(
     ] = Path("results"),
     fmus: FmusOption = Path("fmus"),
     change: SetOption = None,
+    report: ReportOption = False,
+    report_file: ReportFileOption = None,
 ) -> None:
     """Run a scenario with each law and draw; print means with their intervals and what they decide, write results, pictures.
 
@@ -56,12 +74,13 @@ def compare(
     from ..experiments import LAW, LAWS, Experiment, check_names, laws_of
     from ..remarks import remarks_before
     from ..scenario import load_located
-    from ..scenario_system import build_system
+    from ..scenario_system import build_system, controller_design
 
     if laws is not None and vary is not None:
         raise UserError("compare takes --laws or --vary, not both")
     if all(name.endswith(".csv") for name in scenario):
-        _compare_results([Path(name) for name in scenario], output / "compared")
+        place = output / "compared"
+        _compare_results([Path(name) for name in scenario], place, page_wanted(report, report_file, place / REPORT))
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
@@ -79,9 +98,19 @@ def compare(
     compared = (
         [loaded_scenario] if values is None else [loaded_scenario.changed({entry: value}) for value in values.values()]
     )
-    say_notes(dict.fromkeys(note for one in compared for note in remarks_before(build_system(one, fmus, folder), one)))
+    systems = [build_system(one, fmus, folder) for one in compared]
+    notes = dict.fromkeys(
+        note for system, one in zip(systems, compared, strict=True) for note in remarks_before(system, one)
+    )
+    say_notes(notes)
     check_folder(output / loaded_scenario.name, names)
-    run_and_write([Experiment(loaded_scenario, folder, draws, entry, values)], fmus, output, names, workers)
+    page = page_wanted(report, report_file, output / loaded_scenario.name / REPORT)
+    if page is not None:
+        designs = [controller_design(system, one, folder) for system, one in zip(systems, compared, strict=True)]
+        uncovered = (note for _, said in designs for note in said)
+        one = entry not in ("controller.design", "controller.fmu")
+        page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=designs[0][0] if one else None)
+    run_and_write([Experiment(loaded_scenario, folder, draws, entry, values)], fmus, output, names, workers, page)
 
 
 def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
@@ -92,11 +121,12 @@ def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
     check_replaceable(*(folder / name for name in (*files, *(f"{name}.png" for name in COMPARISON))))
 
 
-def _compare_results(paths: list[Path], folder: Path) -> None:
+def _compare_results(paths: list[Path], folder: Path, page: Page | None) -> None:
     from filing.files import staging
 
     from ..hil.overlay import alike
     from ..plots import save_comparison
+    from ..report.pages import side_by_side, write_results
     from ..results import Result
 
     stems = [path.stem for path in paths]
@@ -109,14 +139,27 @@ def _compare_results(paths: list[Path], folder: Path) -> None:
     with staging(folder) as place:
         save_comparison(results, place, ", ".join(names))
     console.print(f"pictures in {escaped(folder)}")
+    if page is None:
+        remove_earlier(folder / REPORT, "report")
+        return
+    path = page.path or folder / REPORT
+    write_results(path, results, ", ".join(names), side_by_side(results), dict(zip(names, paths, strict=True)))
+    console.print(f"wrote {escaped(path)}")
 
 
 def run_and_write(
-    experiments: list[Any], fmus: Path, output: Path, laws: list[str], workers: int | None = None
+    experiments: list[Any],
+    fmus: Path,
+    output: Path,
+    laws: list[str],
+    workers: int | None = None,
+    page: Page | None = None,
 ) -> None:
-    """Compare the laws in each experiment; print what comes out, write it to folders named after the scenarios."""
+    """Compare the laws in each experiment; print what comes out, write it to folders named after the scenarios.
+
+    `page` is written besides where there is one experiment.
+    """
     from ..experiments import run_experiments
-    from ..plots import save_comparison
     from ..remarks import rest_remarks
     from ..scenario_system import build_system
 
@@ -129,14 +172,32 @@ def run_and_write(
             )
         for experiment, comparison in zip(experiments, comparisons, strict=True):
             folder = output / comparison.scenario.name
-            title = comparison.scenario.description or comparison.scenario.name
-            comparison.save(folder, partial(save_comparison, comparison.results, title=title))
+            first = next(iter(comparison.results.values()))
+            at_rest = rest_remarks(first, build_system(comparison.scenario, fmus, experiment.folder))
+            if page is not None:
+                page = replace(page, notes=[*page.notes, *at_rest])
+            _save(comparison, folder, page)
             written.append(comparison.scenario.name)
             print_comparison(comparison)
-            first = next(iter(comparison.results.values()))
-            say_notes(rest_remarks(first, build_system(comparison.scenario, fmus, experiment.folder)))
+            say_notes(at_rest)
             console.print(f"results and pictures in {escaped(folder)}\n")
     except KeyboardInterrupt:
         kept = f"whole: {', '.join(written)}" if written else "nothing was kept"
         console.print(f"interrupted: a comparison is written whole or not at all; {escaped(kept)}")
         raise
+
+
+def _save(comparison: Comparison, folder: Path, page: Page | None) -> None:
+    """Write a comparison with its pictures; a page in its folder is one of its files, another is written after them."""
+    from ..plots import save_comparison
+
+    path = None if page is None else page.path or folder / REPORT
+
+    def besides(place: Path) -> None:
+        save_comparison(comparison.results, place, comparison.scenario.description or comparison.scenario.name)
+        if page is not None and path is not None and path.parent == folder:
+            comparison.report(place / path.name, notes=page.notes, design=page.design, folder=place)
+
+    comparison.save(folder, besides)
+    if page is not None and path is not None and path.parent != folder:
+        comparison.report(path, notes=page.notes, design=page.design, folder=folder)

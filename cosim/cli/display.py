@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 
+from filing.ownership import is_ours
 from fmu_export.files import is_folder
 
 if TYPE_CHECKING:
@@ -83,6 +84,13 @@ def interruptible(*places: Path) -> Iterator[None]:
         written = ", ".join(str(path) for path, stamp in _stamps(places).items() if before.get(path) != stamp)
         console.print(f"interrupted; {escaped(f'wrote {written}') if written else NO_FILE}")
         raise
+
+
+def remove_earlier(path: Path, what: str) -> None:
+    """Remove a file of an earlier run that its new results are not in, and say so; one of somebody else stays."""
+    if path.is_file() and is_ours(path):
+        path.unlink()
+        console.print(f"removed {escaped(path)}, the {what} of an earlier run")
 
 
 def _stamps(places: Iterable[Path]) -> dict[Path, tuple[int, int]]:

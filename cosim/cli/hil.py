@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +16,18 @@ from fmu_export.variables import did_you_mean
 
 from ..errors import UserError
 from .display import console, escaped, print_metrics, problems, say_notes, show_table
-from .options import FAILED, SCENARIO_HELP, ControllerOption, FmusOption, SetOption, assignments
+from .options import (
+    FAILED,
+    SCENARIO_HELP,
+    ControllerOption,
+    FmusOption,
+    Page,
+    ReportFileOption,
+    ReportOption,
+    SetOption,
+    assignments,
+    page_wanted,
+)
 
 if TYPE_CHECKING:
     from ..hil.device import Device
@@ -88,6 +100,8 @@ def hil(
     ] = None,
     real_time: Annotated[bool, typer.Option(help="Ask for real-time scheduling and locked memory.")] = True,
     status: Annotated[bool | None, typer.Option(help="Live line; none: where the error output is a terminal.")] = None,
+    report: ReportOption = False,
+    report_file: ReportFileOption = None,
 ) -> None:
     """Run the controller FMU on the QUBE-Servo 2, real or simulated: check, swing up, balance, log, stop at 0 V.
 
@@ -96,7 +110,7 @@ def hil(
     from ..hil.settings import Settings
     from ..remarks import remarks_before
     from ..scenario import load_scenario
-    from ..scenario_system import build_system
+    from ..scenario_system import build_system, controller_design
 
     if on_fall not in ("swing-up", "stop"):
         raise UserError(f"--on-fall must be swing-up or stop, found {on_fall!r}")
@@ -114,7 +128,8 @@ def hil(
     system = build_system(loaded_scenario, fmus, folder, controller)
     component, plant = system.components
     signals = system.signals
-    say_notes(remarks_before(system, loaded_scenario))
+    notes = remarks_before(system, loaded_scenario)
+    say_notes(notes)
     settings = Settings(
         rate=rate,
         duration=duration,
@@ -128,8 +143,12 @@ def hil(
     if check:
         _check(chosen_device, component, settings, signals)
     else:
-        metadata = {"scenario": loaded_scenario.model_dump(mode="json"), **_judged(component, signals)}
-        _run(chosen_device, component, settings, signals, metadata, output, status)
+        about = {"scenario": loaded_scenario.model_dump(mode="json"), **_judged(component, signals)}
+        page = page_wanted(report, report_file, None)
+        if page is not None:
+            design, uncovered = controller_design(system, loaded_scenario, folder)
+            page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=design)
+        _run(chosen_device, component, settings, signals, about, output, status, page)
 
 
 def _check_options(device: str, *, lockstep: bool, faults: str, stop_on_misses: bool) -> None:
@@ -182,6 +201,7 @@ def _run(
     metadata: Mapping[str, Any],
     output: Path,
     status: bool | None,
+    page: Page | None,
 ) -> None:
     from ..hil.log import free_path, recover
     from ..hil.loop import Loop
@@ -221,6 +241,8 @@ def _run(
             raise
         loop.log.discard()
     _print_report(report, path)
+    if page is not None and len(report.result.time):
+        _write_page(report, path, page)
     if report.stop == "signal" and not report.failures:
         raise typer.Exit(128 + report.signal)
     if report.stop == "fault" or report.failures:
@@ -246,15 +268,8 @@ def _print_report(report: HardwareRun, path: Path) -> None:
     if not len(result.time):
         console.print("no sample was taken, so there is no log to look at")
         return
-    names = {"lateness": "sample read late", "latency": "sample to command", "step_time": "controller's step"}
-    timing = {text: about["timing"][name] for name, text in names.items() if about["timing"][name]}
-    rows = [[text, *(f"{1e6 * value:.1f}" for value in values.values())] for text, values in timing.items()]
-    show_table("timing of the run [us]", ("", "p50", "p99", "p99.9", "max"), rows)
-    console.print(
-        f"missed periods: {about['missed']} of {len(result.time) - 1 + about['missed']}{_elsewhere(result)}",
-        highlight=False,
-        soft_wrap=True,
-    )
+    show_table(*_timing(result))
+    console.print(_missed(result), highlight=False, soft_wrap=True)
     for name, count in about["counters"].items():
         if count:
             console.print(f"{escaped(name)}: {count}", highlight=False)
@@ -264,6 +279,49 @@ def _print_report(report: HardwareRun, path: Path) -> None:
             picture = save_overview(result, path.with_suffix(".png"), about["device"])
             console.print(f"wrote {escaped(picture)}", soft_wrap=True)
         print_metrics(result)
+
+
+def _timing(result: Result) -> tuple[str, Sequence[str], list[list[str]]]:
+    """Return title, headings and rows of the table of a run's timing."""
+    names = {"lateness": "sample read late", "latency": "sample to command", "step_time": "controller's step"}
+    found = result.metadata["hil"]["timing"]
+    rows = [
+        [text, *(f"{1e6 * value:.1f}" for value in found[name].values())] for name, text in names.items() if found[name]
+    ]
+    return "timing of the run [us]", ("", "p50", "p99", "p99.9", "max"), rows
+
+
+def _missed(result: Result) -> str:
+    missed = result.metadata["hil"]["missed"]
+    return f"missed periods: {missed} of {len(result.time) - 1 + missed}{_elsewhere(result)}"
+
+
+def _write_page(report: HardwareRun, path: Path, page: Page) -> None:
+    from ..report.pages import Findings, Table, Verdict, write_result
+
+    result, about = report.result, report.result.metadata["hil"]
+    good = report.stop != "fault" and not report.failures
+    how = "stopped at 0 V" if not report.failures else "not all of the stop worked"
+    file = page.path or path.with_suffix(".html")
+    write_result(
+        file,
+        result,
+        title=f"{about['device']}: {path.stem}",
+        notes=[
+            *page.notes,
+            *(f"{text} (at {time:.3f} s)" for text, time in about["warnings"].items()),
+            *(f"while stopping: {text}" for text in report.failures),
+            *about["environment"],
+        ],
+        design=page.design,
+        table=path,
+        more=Findings(
+            [Verdict(how, report.reason, "good" if good else "bad")],
+            [Table(*_timing(result))],
+            remarks=[_missed(result), *(f"{name}: {count}" for name, count in about["counters"].items() if count)],
+        ),
+    )
+    console.print(f"wrote {escaped(file)}", soft_wrap=True)
 
 
 def _elsewhere(result: Result) -> str:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from filing.ownership import check_replaceable
 from fmu_export.errors import shown
 
 from ..errors import UserError
@@ -35,6 +38,12 @@ SetOption = Annotated[
     ),
 ]
 
+ReportOption = Annotated[bool, typer.Option("--report", help="Also write a page (HTML, one file) beside the table.")]
+ReportFileOption = Annotated[
+    Path | None,
+    typer.Option("--report-file", help="The page's file (*.html), which is then written; none: see --report."),
+]
+
 RunArgument = Annotated[Path, typer.Argument(help="Result of `hil` (CSV, with its JSON beside it).")]
 ControllerOption = Annotated[
     Path | None, typer.Option(help="Controller FMU; none: the scenario's, in the folder of `--fmus`.")
@@ -46,6 +55,31 @@ def loaded_design(path: Path) -> Design:
     from ihc_fmu.design import Design
 
     return Design.load(path)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page to write: where, None: at its usual place; notes that were printed; the design of the controller."""
+
+    path: Path | None
+    notes: Sequence[str] = ()
+    design: Design | None = None
+
+
+def page_wanted(report: bool, file: Path | None, usual: Path | None) -> Page | None:
+    """Return the page that --report and --report-file ask for, None where neither does.
+
+    `usual` is where it is without a name, None: not known yet, and free. Raises UserError for a name that is none of a
+    page's, and for a file there that must stay.
+    """
+    if file is None and not report:
+        return None
+    from ..report.pages import check_name
+
+    path = file or usual
+    if path is not None:
+        check_replaceable(check_name(path))
+    return Page(path)
 
 
 def assignments(items: list[str] | None) -> list[tuple[str, Any]]:

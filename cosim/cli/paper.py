@@ -43,7 +43,7 @@ def paper(
     if fmus is None:
         fmus = output / "fmus"
         export_units(default_design(), output=fmus)
-    with staged_progress() as report:
-        claims = make(Study(output, fmus, size, workers), report)
+    with staged_progress() as progress:
+        claims = make(Study(output, fmus, size, workers), progress)
     print_claims(claims)
     console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")

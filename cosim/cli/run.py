@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from filing.ownership import check_replaceable, is_ours
+from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_metrics, progress, say_notes, warn_of_messages
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .display import console, escaped, print_metrics, progress, remove_earlier, say_notes, warn_of_messages
+from .options import (
+    SCENARIO_HELP,
+    FmusOption,
+    Page,
+    ReportFileOption,
+    ReportOption,
+    SetOption,
+    assignments,
+    page_wanted,
+)
 
 if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
     from ..results import Result
 
 
@@ -32,17 +45,19 @@ def run(
         ),
     ] = None,
     plot: Annotated[bool, typer.Option(help="Also write a picture beside the CSV.")] = True,
+    report: ReportOption = False,
+    report_file: ReportFileOption = None,
 ) -> None:
     """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
     from ..judged_signals import can_draw, can_evaluate
-    from ..remarks import remarks_after, remarks_before
+    from ..remarks import remarks_after, remarks_before, rest_remarks
     from ..results import Interrupted, SimulationError
     from ..scenario import load_located
     from ..scenario_run import run_scenario
-    from ..scenario_system import build_system
+    from ..scenario_system import build_system, controller_design
 
     loaded_scenario, folder, fmus = load_located(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
@@ -56,8 +71,10 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
+    page = page_wanted(report, report_file, path.with_suffix(".html"))
     system = build_system(loaded_scenario, fmus, folder)
-    say_notes(remarks_before(system, loaded_scenario))
+    notes = remarks_before(system, loaded_scenario)
+    say_notes(notes)
     with progress() as bar:
         task = bar.add_task(loaded_scenario.name, total=None)
         try:
@@ -79,10 +96,9 @@ def run(
         except KeyboardInterrupt:
             bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
             raise
-    earlier = path.with_suffix(".png")
-    if not plot and earlier.is_file() and is_ours(earlier):
-        earlier.unlink()
-        console.print(f"removed {escaped(earlier)}, the picture of an earlier run")
+    for suffix, what, again in ((".png", "picture", plot), (".html", "report", page is not None)):
+        if not again:
+            remove_earlier(path.with_suffix(suffix), what)
     warn_of_messages(result)
     say_notes(remarks_after(result, system))
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
@@ -93,6 +109,18 @@ def run(
         console.print(f"wrote {escaped(picture)}")
     if can_evaluate(result):
         print_metrics(result)
+    if page is not None:
+        of_controller = controller_design(system, loaded_scenario, folder)
+        _report(result, page, [*notes, *rest_remarks(result, system)], of_controller, path)
+
+
+def _report(
+    result: Result, page: Page, notes: Sequence[str], of_controller: tuple[Design | None, list[str]], table: Path
+) -> None:
+    design, uncovered = of_controller
+    page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=design)
+    written = result.report(page.path or table.with_suffix(".html"), notes=page.notes, design=page.design, table=table)
+    console.print(f"wrote {escaped(written)}")
 
 
 def _save(result: Result, path: Path) -> Path:

@@ -117,8 +117,8 @@ def _timing(device: Device, settings: Settings) -> Finding:
         device.write(0.0, LED_IDLE)
     count = ticks[-1] - ticks[0]
     missed = count + 1 - len(ticks)
-    found = percentiles(np.diff(woke) * 1e-9)
-    intervals = ", ".join(f"{1e6 * found[name]:.0f} us ({name})" for name in ("p50", "p99.9", "max"))
+    values = percentiles(np.diff(woke) * 1e-9)
+    intervals = ", ".join(f"{1e6 * values[name]:.0f} us ({name})" for name in ("p50", "p99.9", "max"))
     text = f"{settings.rate:g} Hz: {missed} of {count} periods missed; from sample to sample {intervals}"
     most = settings.limits.missed_share * count
     if missed > most:

@@ -56,8 +56,8 @@ def check(values: Driven, instance: Instance, limits: Limits, period: float) -> 
             except UserError as error:
                 raise UserError(f"the signal on {CONTROLLER}.{error} at {k * period:g} s") from None
             if name == ARM_SET_POINT and abs(value) > limits.arm_warning:
-                most, found = math.degrees(limits.arm_warning), math.degrees(value)
+                most, angle = math.degrees(limits.arm_warning), math.degrees(value)
                 raise UserError(
                     f"the signal on {CONTROLLER}.{name} must stay within ±{most:.0f}°, beyond which a run warns of the arm, "
-                    f"found {found:.0f}° at {k * period:g} s"
+                    f"found {angle:.0f}° at {k * period:g} s"
                 )

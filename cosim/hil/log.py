@@ -2,7 +2,8 @@
 
 The file begins with a magic number, the length of a JSON header (the columns, what the run is) and that header; rows of a
 fixed size follow. A row ends with its number, from 1 on, and the CRC-32 of all before; a row without them was not finished.
-The header has a CRC-32 too. While a process has the file open it holds a lock on it.
+The header has a CRC-32 too. While a process has the file open it holds a lock on it. (NumPy's own format, `open_memmap`, has
+no place for what the run is and no checksums, and packs a row in three times the time.)
 """
 
 from __future__ import annotations
@@ -68,12 +69,17 @@ class Layout:
 class RowLog:
     """Rows of a run in a mapped file; the file disappears with `discard`, when its rows are safe elsewhere."""
 
-    def __init__(self, path: Path, layout: Layout, rows: int, about: Mapping[str, Any]) -> None:
+    def __init__(self, path: Path, layout: Layout, rows: int, metadata: Mapping[str, Any]) -> None:
         """Make the file with room for `rows`; raise UserError where another run has it."""
         self.path, self.layout = path.absolute(), layout
         self.struct = layout.row
         self.capacity = rows
-        columns = {"reals": layout.reals, "integers": layout.integers, "units": dict(layout.units), "about": about}
+        columns = {
+            "reals": layout.reals,
+            "integers": layout.integers,
+            "units": dict(layout.units),
+            "metadata": metadata,
+        }
         header = json.dumps({**columns, "crc32": _crc(columns)}).encode()
         self.begin = _HEAD.size + len(header)
         size = self.begin + rows * self.struct.size
@@ -133,7 +139,7 @@ class LiveLog:
         if not path.stat().st_size:
             raise UserError(f"{path} is not the log of a run, it is empty")
         self.buffer = mmap.mmap(self._file.fileno(), 0, access=mmap.ACCESS_READ)
-        self.layout, self.about, self.begin = _read_header(self.buffer, path)
+        self.layout, self.metadata, self.begin = _read_header(self.buffer, path)
         self.struct = self.layout.row
         self.capacity = (len(self.buffer) - self.begin) // self.struct.size
         self.rows = 0  # seen to be finished
@@ -173,12 +179,12 @@ def _read_header(buffer: mmap.mmap | bytes, path: Path) -> tuple[Layout, dict[st
     header = checked(_Header, data, path)
     if data.pop("crc32", None) != _crc(data):
         raise UserError(f"the log {path} is damaged: its header does not fit its checksum")
-    if header.about.step is None:
-        raise UserError(f"{path}: about.step is required")
+    if header.metadata.step is None:
+        raise UserError(f"{path}: metadata.step is required")
     names = [*header.reals, *header.integers]
     if len(set(names)) < len(names) or set(names) != header.units.keys():
         raise UserError(f"{path}: reals and integers must name each of the units' outputs once")
-    return Layout(header.reals, header.integers, header.units), data["about"], begin
+    return Layout(header.reals, header.integers, header.units), data["metadata"], begin
 
 
 class _Header(BaseModel):
@@ -188,7 +194,7 @@ class _Header(BaseModel):
     reals: tuple[StrictStr, ...]
     integers: tuple[StrictStr, ...]
     units: dict[StrictStr, StrictStr]
-    about: Provenance
+    metadata: Provenance
 
 
 def _crc(header: Mapping[str, Any]) -> int:
@@ -201,7 +207,7 @@ def rows_of(content: bytes, path: Path) -> tuple[Layout, dict[str, Any], np.ndar
 
     Raises UserError for what is no log, and where a row before the last finished one does not fit its checksum.
     """
-    layout, about, begin = _read_header(content, path)
+    layout, metadata, begin = _read_header(content, path)
     whole = {*TIMING, *(f"controller.{name}" for name in layout.integers)}
     types = [(name, "<i8" if name in whole else "<f8") for name in layout.names]
     dtype = np.dtype([*types, ("number", "<u4"), ("crc", "<u4")])
@@ -212,25 +218,25 @@ def rows_of(content: bytes, path: Path) -> tuple[Layout, dict[str, Any], np.ndar
     rows = int(np.argmin(sound)) if not sound.all() else room
     if sound[rows:].any():
         raise UserError(f"the log {path} is damaged: row {rows + 1} does not fit its checksum, later ones do")
-    return layout, about, table[:rows]
+    return layout, metadata, table[:rows]
 
 
 def _sound(rows: bytes, size: int) -> np.ndarray:
     """Return which of the rows of `size` bytes fit the checksum at their end."""
     view = memoryview(rows)
-    found = [zlib.crc32(view[at : at + size - _CRC.size]) for at in range(0, len(rows), size)]
+    sums = [zlib.crc32(view[at : at + size - _CRC.size]) for at in range(0, len(rows), size)]
     kept = np.frombuffer(rows, np.uint8).reshape(-1, size)[:, -_CRC.size :].copy().view("<u4").ravel()
-    return np.array(found, dtype=np.uint32) == kept
+    return np.array(sums, dtype=np.uint32) == kept
 
 
-def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Result:
+def to_result(layout: Layout, rows: np.ndarray, metadata: Mapping[str, Any]) -> Result:
     """Return the rows as a simulation's result has them, and the timing beside.
 
     time = ticks since the first row times the period. A row has what was measured at its time and the controller's
     outputs in force until then, as in a simulation; `hil.steps` says how often the controller was stepped on it.
     """
     if not len(rows):
-        return Result(np.zeros(0), {}, {}, dict(about))
+        return Result(np.zeros(0), {}, {}, dict(metadata))
     ticks = rows["tick"] - rows["tick"][0]
     signals: dict[str, np.ndarray] = {}
     for name in layout.units:  # in the controller's own order
@@ -245,13 +251,13 @@ def to_result(layout: Layout, rows: np.ndarray, about: Mapping[str, Any]) -> Res
     add("plant.current", "A", -rows["current"])
     add("hil.applied_voltage", "V", rows["applied_voltage"].copy())
     add("hil.tachometer", "rad/s", -RESOLUTION * rows["tachometer"])
-    add("hil.lateness", "s", lateness(rows, about["step"]))
+    add("hil.lateness", "s", lateness(rows, metadata["step"]))
     add("hil.latency", "s", rows["latency"] * 1e-9)
     add("hil.step_time", "s", rows["step_time"] * 1e-9)
     add("hil.missed", "1", np.diff(ticks, prepend=-1) - 1)
     add("hil.steps", "1", rows["steps"].copy())
     add("hil.digital", "1", rows["digital"].copy())
-    return Result(ticks * about["step"], signals, units, dict(about))
+    return Result(ticks * metadata["step"], signals, units, dict(metadata))
 
 
 def lateness(rows: np.ndarray, period: float) -> np.ndarray:
@@ -275,7 +281,7 @@ def free_path(folder: Path, stem: str) -> Path:
     number = 1
     while True:
         path = folder / f"{stem if number == 1 else f'{stem}_{number}'}.csv"
-        if not any(path.with_suffix(suffix).exists() for suffix in (".csv", ".json", ".png", ".rows")):
+        if not any(path.with_suffix(suffix).exists() for suffix in (".csv", ".json", ".png", ".html", ".rows")):
             return path
         number += 1
 
@@ -292,14 +298,14 @@ def recover(folder: Path) -> list[tuple[Path, int | str]]:
             if not _lock(file):
                 continue
             try:
-                layout, about, rows = rows_of(file.read(), path)
+                layout, metadata, rows = rows_of(file.read(), path)
             except UserError as error:
                 recovered.append((path, str(error)))
                 continue
             target = path.with_suffix(".csv")
             if target.exists() or target.with_suffix(".json").exists():  # saved, but for what a killed run did last
                 target = free_path(folder, path.stem)
-            to_result(layout, rows, {**about, "complete": False, "recovered": True}).save(target)
+            to_result(layout, rows, {**metadata, "complete": False, "recovered": True}).save(target)
         path.unlink()
         recovered.append((target, len(rows)))
     return recovered

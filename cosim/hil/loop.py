@@ -73,7 +73,7 @@ class Loop:
         component: Component,
         settings: Settings,
         path: Path,
-        about: Mapping[str, Any] | None = None,
+        metadata: Mapping[str, Any] | None = None,
         say: Callable[[str], None] = lambda _text: None,
         signals: Sequence[Signal] = (),
     ) -> None:
@@ -84,7 +84,7 @@ class Loop:
         self.device, self.settings, self.say = device, settings, say
         self.controller = ControllerFmu(component, settings.period, driven.names_of([s.target for s in signals]))
         self.steps = round(settings.duration * settings.rate)
-        self.about = {
+        self.metadata = {
             "versions": dict(versions()),
             "fmus": {
                 "controller": {
@@ -98,15 +98,15 @@ class Loop:
             "step": settings.period,
             "every": 1,
             "complete": False,
-            **(about or {}),
+            **(metadata or {}),
         }
-        self.about["hil"] = {
+        self.metadata["hil"] = {
             "device": device.name,
             "rate": settings.rate,
             "limits": asdict(settings.limits),
-            **self.about.get("hil", {}),
+            **self.metadata.get("hil", {}),
         }
-        self.log = RowLog(path.with_suffix(".rows"), self.controller.layout, self.steps + 1, self.about)
+        self.log = RowLog(path.with_suffix(".rows"), self.controller.layout, self.steps + 1, self.metadata)
         try:
             values = driven.values_of(signals, settings.period, self.steps)
             driven.check(values, self.controller.instance, settings.limits, settings.period)
@@ -254,9 +254,9 @@ class Loop:
         """Return the log as a result, with how the run ended."""
         self.log.buffer.flush()
         layout, _, rows = rows_of(self.log.path.read_bytes(), self.log.path)
-        about = {**self.about, "complete": kind == "complete"}
-        about["hil"] = {
-            **self.about["hil"],
+        metadata = {**self.metadata, "complete": kind == "complete"}
+        metadata["hil"] = {
+            **self.metadata["hil"],
             "reason": reason,
             "stop": kind,
             "failures": failures,
@@ -268,11 +268,11 @@ class Loop:
         }
         messages = self.controller.instance.messages
         if messages:
-            about["messages"] = {"controller": messages}
-        result = to_result(layout, rows, about)
+            metadata["messages"] = {"controller": messages}
+        result = to_result(layout, rows, metadata)
         if len(rows):
-            about["hil"]["timing"] = timing(result)
-        return Result(result.time, result.signals, result.units, about)
+            metadata["hil"]["timing"] = timing(result)
+        return Result(result.time, result.signals, result.units, metadata)
 
 
 def _ending(over: bool, received: list[int], reason: str) -> Stopped | None:

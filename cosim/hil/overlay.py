@@ -68,8 +68,8 @@ def resimulate(
     see `identify.beginning`; where the arm's was zeroed is in its first angle, since nothing depends on that but the
     measurement. Raises UserError for a log without start values, or too short.
     """
-    about = provenance(result)
-    start, step = about.start_values.get("controller"), about.step
+    origin = provenance(result)
+    start, step = origin.start_values.get("controller"), origin.step
     if start is None or step is None:
         raise UserError("the log does not say with which start values it was made")
     rows = np.flatnonzero(result.time >= begin - 1e-9)
@@ -82,20 +82,20 @@ def resimulate(
         result.metadata,
     )
     plant = own_start(result) if parameters is None else dict(plant_start_values(named_set(parameters)))
-    found = beginning(measured, _set_of({**start_values_of(fmus[0]), **plant}, parameters or "of the run"))
+    first = beginning(measured, _set_of({**start_values_of(fmus[0]), **plant}, parameters or "of the run"))
     names = ("theta_0", "delta_0", "theta_dot_0", "delta_dot_0")
-    plant |= dict(zip(names, found.state, strict=True))
+    plant |= dict(zip(names, first.state, strict=True))
     plant |= {
         "theta_encoder_offset": 0.5,
-        "delta_encoder_offset": float(np.clip(0.5 + found.bias / RESOLUTION, 0.0, 1.0)),
+        "delta_encoder_offset": float(np.clip(0.5 + first.bias / RESOLUTION, 0.0, 1.0)),
     }
     components = Component("controller", fmus[1], start), Component("plant", fmus[0], plant)
-    signals = [_logged(measured, name, step) for name in driven_inputs(about)]
+    signals = [_logged(measured, name, step) for name in driven_inputs(origin)]
     duration = round(float(measured.time[-1]) / step) * step
-    metadata = {"overlay": {"parameters": parameters, "bias": found.bias}, **_judged(result)}
+    metadata = {"overlay": {"parameters": parameters, "bias": first.bias}, **_judged(result)}
     system = SystemStructure(components, WIRES["encoders"], signals)
     simulated = simulate(system, step, duration, metadata=metadata, progress=progress)
-    return Overlay(measured, simulated, found)
+    return Overlay(measured, simulated, first)
 
 
 def _logged(measured: Result, name: str, step: float) -> Signal:
@@ -108,7 +108,7 @@ def _logged(measured: Result, name: str, step: float) -> Signal:
 
 def _judged(result: Result) -> dict[str, Any]:
     """Return what the result says that it is judged by, for the metadata of its simulation."""
-    return {name: about for name, about in result.metadata.items() if name == "evaluation"}
+    return {name: entry for name, entry in result.metadata.items() if name == "evaluation"}
 
 
 LEAST_ROWS = 45

@@ -79,18 +79,18 @@ def replay(result: Result, fmu: Path) -> Replay:
     The log is one of a device, or a simulation's with encoders, the order controller-first and every row. Raises
     UserError for a log that lacks what is needed, SimulationError where the FMU fails.
     """
-    about = provenance(result)
-    used, start = about.fmus.get("controller"), about.start_values.get("controller")
-    if used is None or start is None or about.step is None:
+    origin = provenance(result)
+    used, start = origin.fmus.get("controller"), origin.start_values.get("controller")
+    if used is None or start is None or origin.step is None:
         raise UserError("the log does not say with which controller and start values it was made")
-    if about.order != "controller-first" or about.every != 1:
+    if origin.order != "controller-first" or origin.every != 1:
         raise UserError("a replay needs every row of a run in the order controller-first")
-    if not _got_angles_only(about):
+    if not _got_angles_only(origin):
         raise UserError("a replay needs a run whose controller got the encoders' angles and signals, and nothing else")
     if len(result.time) < LEAST_ROWS:
         raise UserError(f"a replay needs at least {LEAST_ROWS} rows, the log has {len(result.time)}")
     theta, delta = (result[name] for name in MEASURED)
-    controller = ControllerFmu(Component("controller", fmu, start), about.step, driven_inputs(about))
+    controller = ControllerFmu(Component("controller", fmu, start), origin.step, driven_inputs(origin))
     controller.follow({name: driven_values(result, name).tolist() for name in controller.inputs})
     names = (*controller.layout.reals, *controller.layout.integers)
     logged = [result[f"controller.{name}"].tolist() for name in names]
@@ -128,9 +128,9 @@ def replay(result: Result, fmu: Path) -> Replay:
     return Replay(sum(map(bool, steps)), int(differing.size), first, is_own(result, fmu))
 
 
-def driven_inputs(about: Provenance) -> tuple[str, ...]:
+def driven_inputs(origin: Provenance) -> tuple[str, ...]:
     """Return the names of the controller's inputs that signals drove."""
-    return names_of([signal.input for signal in about.scenario.signals])
+    return names_of([signal.input for signal in origin.scenario.signals])
 
 
 def driven_values(result: Result, name: str) -> np.ndarray:
@@ -142,10 +142,10 @@ def driven_values(result: Result, name: str) -> np.ndarray:
     return np.append(column[1:], column[-1:])
 
 
-def _got_angles_only(about: Provenance) -> bool:
+def _got_angles_only(origin: Provenance) -> bool:
     """Return whether wires gave the controller the encoders' angles and nothing else."""
     angles = dict(zip(("controller.theta", "controller.delta"), MEASURED, strict=True))
-    wires = about.wires if about.wires is not None else [(source, target) for target, source in angles.items()]
+    wires = origin.wires if origin.wires is not None else [(source, target) for target, source in angles.items()]
     fed = {target: source for source, target in wires if target.startswith("controller.")}
     return fed == angles
 

@@ -44,7 +44,7 @@ def parts(row: Mapping[str, float], first_tick: float, rows: int, step: float) -
     ticks = row["tick"] - first_tick
     missed, fault = int(ticks + 1 - rows), digital_reason(int(row["digital"]))
     latency, voltage = f"{row['latency'] * 1e-3:4.0f} us", f"{row['applied_voltage']:+6.2f} V"
-    found = [
+    pieces = [
         Part(f"{ticks * step:7.2f} s", f"{ticks * step:.2f} s", 1),
         Part(f"{name:11}", name, 2),
         Part(f"arm {theta:+7.1f}°", f"θ {theta:+6.1f}°", 6),
@@ -55,10 +55,10 @@ def parts(row: Mapping[str, float], first_tick: float, rows: int, step: float) -
     ]
     if row["due"]:
         late = f"late {(row['woke'] - row['due']) * 1e-3:4.0f} us"
-        found.insert(-1, Part(late, late, 7))
+        pieces.insert(-1, Part(late, late, 7))
     if fault:
-        found.append(Part(fault, fault, 0))
-    return found
+        pieces.append(Part(fault, fault, 0))
+    return pieces
 
 
 def fitted(pieces: Sequence[Part], width: int) -> str:
@@ -99,7 +99,7 @@ def main(arguments: list[str] | None = None) -> int:
         row = log.newest()
         if row is not None:
             first = first or log.row(0)
-            said = fitted(parts(row, first["tick"], log.rows, log.about["step"]), width())
+            said = fitted(parts(row, first["tick"], log.rows, log.metadata["step"]), width())
             print(CLEAR + said, end="", file=sys.stderr, flush=True)
         time.sleep(PAUSE)
     if first is not None:

@@ -171,9 +171,9 @@ def _swing_ups(runs: Runs) -> Figure:
     pairs = swing_up_pairs(runs)
     near = [abs(lc["integral_q2"] / printed.LMSE[0]["LC"] - 1.0) < 0.1 for _, lc, _ in pairs]
     for inside, colour, label in ((False, "0.7", "all"), (True, COLOURS["IHC"], "LMSE of the LC within 10 % of 11.23")):
-        chosen = [pair for pair, flag in zip(pairs, near, strict=True) if flag is inside]
-        x = [lc["arm_peak"] for _, lc, _ in chosen]
-        y = [margin(ihc["integral_q2"], lc["integral_q2"]) for _, lc, ihc in chosen]
+        group = [pair for pair, flag in zip(pairs, near, strict=True) if flag is inside]
+        x = [lc["arm_peak"] for _, lc, _ in group]
+        y = [margin(ihc["integral_q2"], lc["integral_q2"]) for _, lc, ihc in group]
         axis.plot(x, y, ".", color=colour, ms=4, label=label)
     said = margin(printed.LMSE[0]["IHC"], printed.LMSE[0]["LC"])
     axis.axhline(said, color=COLOURS["LC"], lw=0.9, ls="--", label=f"Table I: {said:.2f} %")

@@ -48,11 +48,11 @@ def readings(results: Mapping[str, Result]) -> list[Reading]:
             lambda t, q, on: degrees * float(np.sqrt(np.mean(q[on] ** 2))),
         ),
     )
-    found = []
+    every = []
     for name, unit, measure in kinds:
         values = {}
         for law, result in results.items():
             on = result["controller.mode"] == STABILIZING
             values[law] = measure(result.time, angle_norm(result), on)
-        found.append(Reading(name, unit, values))
-    return sorted(found, key=lambda reading: abs(math.log(reading.ratio)))
+        every.append(Reading(name, unit, values))
+    return sorted(every, key=lambda reading: abs(math.log(reading.ratio)))

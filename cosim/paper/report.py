@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from filing.files import staging, write_file
@@ -25,6 +24,7 @@ from plant_fmu.parameters import parameter_set
 from ..campaign import Job, Journal, run_all
 from ..errors import UserError
 from ..fmu_files import describe
+from ..report.page import ANIMATION, data, render
 from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
 from . import figures, printed, tables
@@ -39,7 +39,7 @@ HERE = Path(__file__).parent
 FRAME = 0.02
 """Step of the animation's samples [s]."""
 
-Report = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done, and how much there is."""
 
 EXPERIMENT_NAMES = {
@@ -53,6 +53,19 @@ EXPERIMENT_NAMES = {
 }
 
 
+WINDOW = "beside it the same from 5 to 7 s"
+FIGURES = {
+    "figure_3.png": f"The angles θ and δ over 10 s with LC, IHC and two sliding mode controllers, {WINDOW}",
+    "figure_4.png": f"The size of the angles, |q|, over 10 s with the four controllers, {WINDOW}",
+    "figure_5.png": f"The voltage over 10 s, above with the LC, below with the IHC, {WINDOW}",
+    "figure_6.png": "The size of the angles, |q|, with the four controllers under the disturbance, a row for each gain G",
+    "shares.png": "For each ranking and condition the share of draws with its confidence interval, and the line at 50 %",
+    "swing_ups.png": "For each random swing-up by how much the LMSE of the IHC differs, over the largest angle of the arm",
+    "chattering.png": "The integral of |q|² and the variation of the voltage over a_min, for each estimator and step",
+}
+"""What the figures show, in words."""
+
+
 @dataclass(frozen=True)
 class Section:
     """A part of the page: title, text, figures by file name, tables, and the names of those that begin folded."""
@@ -64,13 +77,13 @@ class Section:
     folded: Sequence[str] = ()
 
 
-def make(study: Study, report: Report | None = None) -> list[Claim]:
+def make(study: Study, progress: Progress | None = None) -> list[Claim]:
     """Run all experiments of `study` that its journal does not hold, write its folder, return the verdicts.
 
     The journal `runs.sqlite` grows with each finished run, so that a repetition continues where this one was stopped. What
     is made of the runs reaches the folder together, the report last.
     """
-    say = report or (lambda _what, _done, _total: None)
+    say = progress or (lambda _what, _done, _total: None)
     for fmu in (study.base.plant.fmu, study.base.controller.fmu):
         describe(study.fmus / fmu)  # says what is missing before anything is written
     study.prepare()
@@ -185,7 +198,11 @@ def _sections(
             ["figure_3.png"],
         ),
         Section("Figure 4", "The dotted line is at the 4 s of the paper's text.", ["figure_4.png"]),
-        Section("Figure 5", "The voltage of LC and IHC; the swing-up is the same.", ["figure_5.png"]),
+        Section(
+            "Figure 5",
+            "The voltage of LC and IHC; the swing-up is the same.",
+            ["figure_5.png"],
+        ),
         Section(
             "Table I",
             "",
@@ -193,7 +210,9 @@ def _sections(
         ),
         Section("Control energy", "", tables=[tables.energy_table(judge)]),
         Section(
-            "Figure 6", "G (0.02 sin 10t + 0.01 sin 3t) V is added to the control from 1.5 s on.", ["figure_6.png"]
+            "Figure 6",
+            "G (0.02 sin 10t + 0.01 sin 3t) V is added to the control from 1.5 s on.",
+            ["figure_6.png"],
         ),
         Section(
             "Table II",
@@ -212,7 +231,12 @@ def _sections(
         ),
         Section("What LMSE may mean", "", tables=[tables.readings_table(readings(plain))]),
         Section("When the disturbance begins", "", tables=[tables.onset_table(found, judge)]),
-        Section("The swing-up decides the margin", "", ["swing_ups.png"], [tables.swing_ups_table(found)]),
+        Section(
+            "The swing-up decides the margin",
+            "",
+            ["swing_ups.png"],
+            [tables.swing_ups_table(found)],
+        ),
         Section(
             "The printed k and P",
             f"The scale of P is open too. At |kx| ≤ 10 V the unit ball reaches |δ| ≤ {paper_scale[1]:.3g} rad, so that the "
@@ -240,15 +264,17 @@ def _page(
     images: Mapping[str, str],
     runs: int,
 ) -> str:
-    environment = Environment(
-        loader=FileSystemLoader(HERE), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
     sources = dict.fromkeys(key for claim in claims for key in claim.runs)
     scenarios = {scenario_name(key): study.scenario(key).to_toml() for key in sources}
     about = study.designs["paper.json"]
-    return environment.get_template("report.html.j2").render(
+    return render(
+        "report.html.j2",
+        ANIMATION,
+        ("animation.css",),
+        HERE,
         sections=sections,
         images=images,
+        shown=FIGURES,
         claims=claims,
         counts=Counter(claim.verdict for claim in claims),
         independent=Counter(claim.verdict for claim in claims if claim.basis == "independent"),
@@ -262,13 +288,11 @@ def _page(
         versions=versions(),
         design=json.dumps({"P": np.round(about.P, 6).tolist(), "k": np.round(about.K_h[0], 6).tolist()}),
         fmus=shlex.quote(os.path.relpath(study.fmus, study.folder)),
-        style=Markup((HERE / "animation.css").read_text(encoding="utf-8")),
-        script=Markup((HERE / "animation.js").read_text(encoding="utf-8")),
-        animation=Markup(animation_data({law: pictures[0, law] for law in ("LC", "IHC")})),
+        animation=animation_data({law: pictures[0, law] for law in ("LC", "IHC")}),
     )
 
 
-def animation_data(results: Mapping[str, Result]) -> str:
+def animation_data(results: Mapping[str, Result]) -> Markup:
     """Return the samples of the animation as JSON that may stand inside a script element."""
     runs: list[dict[str, Any]] = []
     for law, result in results.items():
@@ -284,4 +308,4 @@ def animation_data(results: Mapping[str, Result]) -> str:
                 "mode": result["controller.mode"][rows].tolist(),
             }
         )
-    return json.dumps({"step": FRAME, "voltage_limit": 10, "runs": runs}).replace("<", "\\u003c")
+    return data({"step": FRAME, "voltage_limit": 10, "runs": runs})

@@ -150,17 +150,17 @@ def numbers(result: Result) -> dict[str, float]:
     time = result.time
     window = (time >= printed.WINDOW[0]) & (time <= printed.WINDOW[1])
     theta, delta = result["plant.theta"][window], wrapped(result["plant.delta"][window])
-    found = {name: float(value) for name, value in evaluate(result).as_dict().items()}
-    found["window_rms"] = float(np.sqrt(np.mean(theta**2 + delta**2)))
-    found["window_theta"] = float(np.ptp(theta))
-    found["window_delta"] = float(np.ptp(delta))
-    after = time >= found["capture_time"]  # nowhere where it is NaN
-    found["arm_peak"] = float(np.max(np.abs(result["plant.theta"][after]), initial=0.0))
+    values = {name: float(value) for name, value in evaluate(result).as_dict().items()}
+    values["window_rms"] = float(np.sqrt(np.mean(theta**2 + delta**2)))
+    values["window_theta"] = float(np.ptp(theta))
+    values["window_delta"] = float(np.ptp(delta))
+    after = time >= values["capture_time"]  # nowhere where it is NaN
+    values["arm_peak"] = float(np.max(np.abs(result["plant.theta"][after]), initial=0.0))
     held = np.diff(time, prepend=time[0])  # a row's voltage was held over the step that ended there
-    found["energy_after_capture"] = float(np.sum((result["controller.voltage"] ** 2 * held)[after]))
-    found["settling_wide"] = settling_time(time, angle_norm(result), WIDE_TOLERANCE)
-    found["kept"] = float(kept_upright(result))
-    return found
+    values["energy_after_capture"] = float(np.sum((result["controller.voltage"] ** 2 * held)[after]))
+    values["settling_wide"] = settling_time(time, angle_norm(result), WIDE_TOLERANCE)
+    values["kept"] = float(kept_upright(result))
+    return values
 
 
 PURPOSE = "section V: numbers 1"
@@ -243,23 +243,23 @@ class Study:
 
     def keys(self) -> dict[str, list[Key]]:
         """Return the names of all runs that only leave numbers, by experiment."""
-        found: dict[str, list[Key]] = {name: [] for name in EXPERIMENTS}
+        keys: dict[str, list[Key]] = {name: [] for name in EXPERIMENTS}
         own = REFERENCE[0]
         draws = range(1, self.size.draws + 1)
-        found["reference"] = _keys("reference", *REFERENCE, GAINS, tuple(self.variants), (0,))
+        keys["reference"] = _keys("reference", *REFERENCE, GAINS, tuple(self.variants), (0,))
         for step in self.size.sample_times:
             names = tuple(self.variants) if self.size.beyond and step == REFERENCE[1] else COMPARED
-            found["swing-up"] += _keys("swing-up", own, step, GAINS, names, draws)
+            keys["swing-up"] += _keys("swing-up", own, step, GAINS, names, draws)
         for parameters in sorted(SETS, key=lambda name: name != own):
             for step in self.size.other_sample_times:
-                found["shipped"] += _keys("shipped", parameters, step, self.size.other_gains, COMPARED, draws)
-                found["tilt"] += _keys("tilt", parameters, step, (0,), COMPARED, draws)
-        found["onset"] = _keys("onset", own, 1e-3, GAINS[2:], COMPARED, draws)
+                keys["shipped"] += _keys("shipped", parameters, step, self.size.other_gains, COMPARED, draws)
+                keys["tilt"] += _keys("tilt", parameters, step, (0,), COMPARED, draws)
+        keys["onset"] = _keys("onset", own, 1e-3, GAINS[2:], COMPARED, draws)
         chattering = range(1, self.size.chattering_draws + 1)
         for step in self.size.sample_times:
-            found["chattering"] += _keys("chattering", own, step, (0,), tuple(self.sweep), chattering)
-        found["swing-ups"] = _keys("swing-ups", own, 1e-3, (0,), COMPARED[:2], range(1, self.size.swing_ups + 1))
-        return found
+            keys["chattering"] += _keys("chattering", own, step, (0,), tuple(self.sweep), chattering)
+        keys["swing-ups"] = _keys("swing-ups", own, 1e-3, (0,), COMPARED[:2], range(1, self.size.swing_ups + 1))
+        return keys
 
     def pictures(self, keys: Sequence[Key]) -> dict[Key, Result]:
         """Return the results of runs themselves, thinned to rows of 1 ms."""

@@ -26,11 +26,10 @@ from pythonfmu.enums import Fmi2Status
 from pythonfmu.fmi2slave import Fmi2Slave
 
 from .errors import UserError
-from .shown import Showing
+from .manifest import MANIFEST, check_bundle, showing_in
 from .variables import Interface, Value, Variable
 
 STATE_FORMAT = 3
-MANIFEST = "manifest.json"
 
 _finalized: set[str] = set()
 """Wrapper libraries that are told to finalize before the process ends."""
@@ -84,34 +83,6 @@ def _as_format(message: str) -> str:
     return message.replace("%", "%%")
 
 
-def code_digest(code: Mapping[str, bytes]) -> str:
-    """Return the SHA-256 of Python files, by name and content."""
-    digest = hashlib.sha256()
-    for name in sorted(code):
-        digest.update(name.encode() + b"\0" + code[name] + b"\0")
-    return digest.hexdigest()
-
-
-def manifest_of(showing: Showing, start: Mapping[str, Value], hidden: Mapping[str, Value | str]) -> dict[str, Any]:
-    """Return what a slave needs to know of its FMU's interface, as JSON types; `showing_in` reads it.
-
-    `start` by shown names, `hidden` by those of the slave's interface.
-    """
-    shown = showing.interface
-    return {
-        "name": shown.name,
-        "shown": {v.compiled: {"name": v.name, "unit": v.unit} for v in shown.variables},
-        "start_values": dict(start),
-        "hidden_values": dict(hidden),
-    }
-
-
-def showing_in(table: Interface, manifest: Mapping[str, Any]) -> Showing:
-    """Return what a manifest says that the FMU shows of the slave's interface `table`."""
-    variables = [table.by_name[slot].shown_as(v["name"], unit=v["unit"]) for slot, v in manifest["shown"].items()]
-    return Showing(table, table.showing(variables, name=manifest["name"], step_parameter=None))
-
-
 def _finalize_at_exit(library: Path) -> None:
     """Have the wrapper release its interpreter state before the process ends, where Python is the host.
 
@@ -143,7 +114,7 @@ class GuardedSlave(Fmi2Slave):
         self._identity = hashlib.sha256(text).hexdigest()[:16]  # of code, interface and start values
         sys.path[:] = [entry for entry in sys.path if entry != str(self.resources)]  # the wrapper adds it each time
         _finalize_at_exit(resources.parent / "binaries" / "linux64" / f"{manifest['identifier']}.so")
-        self._check_bundle(resources, manifest)
+        check_bundle(self.instance_name, type(self).__module__.split(".")[0], resources, manifest)
         self._showing = showing_in(self.interface, manifest)
         self._take_variables(manifest)
         self._phase = "instantiated"
@@ -312,20 +283,6 @@ class GuardedSlave(Fmi2Slave):
         return found if isinstance(found, dict) else {}
 
     # Inside
-
-    def _check_bundle(self, resources: Path, manifest: dict[str, Any]) -> None:
-        """Refuse to run code other than that bundled with this FMU."""
-        package = manifest["package"]
-        running = type(self).__module__.split(".")[0]
-        if running != package:
-            raise ImportError(f"{self.instance_name}: this FMU bundles {package}, but Python runs {running}")
-        folder = resources / package
-        digest = code_digest({f.relative_to(folder).as_posix(): f.read_bytes() for f in folder.rglob("*.py")})
-        if digest != manifest["code_digest"]:
-            raise ImportError(
-                f"{self.instance_name}: the code in {package} is not the code that was exported "
-                f"(SHA-256 {digest[:12]}, expected {manifest['code_digest'][:12]})"
-            )
 
     def _require(self, phase: str, doing: str) -> None:
         if self._phase != phase:

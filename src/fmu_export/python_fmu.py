@@ -19,7 +19,8 @@ from pathlib import Path, PurePosixPath
 from .archive import content_guid, further_resources, license_of, write_zip
 from .documentation import documents
 from .files import FilePath
-from .guarded_slave import MANIFEST, GuardedSlave, code_digest, manifest_of
+from .guarded_slave import GuardedSlave
+from .manifest import MANIFEST, code_digest, manifest_of
 from .model_description import Capabilities, model_description
 from .native_unit import checked_identifier
 from .origin import ANONYMOUS, Origin

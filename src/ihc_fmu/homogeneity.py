@@ -20,10 +20,8 @@ from collections.abc import Sequence
 from math import exp, floor, frexp, inf, isfinite, isnan, ldexp, log, nan
 from typing import NamedTuple
 
-from fmu_export.errors import UserError
+from .linear_algebra import Matrix, Vector, solve, transpose
 
-Vector = Sequence[float]
-Matrix = Sequence[Sequence[float]]
 Exponents = Sequence[int]
 """e_j of each coordinate: they fall from block to block by 1, to 0 for the last block."""
 
@@ -58,79 +56,11 @@ SHIFT = 600
 """States beyond 2^-SHIFT or 2^SHIFT as a whole are computed with as 2^SHIFT or 2^-SHIFT times themselves."""
 
 
-LEAST = 2.0**-1000
-"""Measurements and filtered values below this, about 1e-301, count as 0: further decay would reach subnormal numbers, on
-which processors are many times slower."""
-
-LEAST_ESTIMATE = 2.0**-300
-"""The same for the estimates of an observer, about 5e-91: models multiply up to three of them."""
-
-
 class NormPolynomial(NamedTuple):
     """c_0, ..., c_{2e} of Remark 5's polynomial for the state d(-exponent ln 2) z."""
 
     c: Vector
     exponent: int = 0
-
-
-def solve(M: Matrix, B: Matrix, name: str = "Phi") -> list[list[float]]:
-    """Return M^-1 B by Gaussian elimination with partial pivoting; M is (n, n), B is (n, m).
-
-    Raises UserError where M is singular; the sentence calls it `name`.
-    """
-    n = len(M)
-    rows = [[*M[i], *B[i]] for i in range(n)]
-    for k in range(n):
-        pivot = max(range(k, n), key=lambda i: abs(rows[i][k]))
-        rows[k], rows[pivot] = rows[pivot], rows[k]
-        head = rows[k][k]
-        if head == 0.0 or not isfinite(head):
-            raise UserError(f"{name} must be regular, found a singular matrix")
-        for i in range(k + 1, n):
-            factor = rows[i][k] / head
-            for j in range(k, len(rows[i])):
-                rows[i][j] -= factor * rows[k][j]
-    for k in range(n - 1, -1, -1):
-        for j in range(n, len(rows[k])):
-            rest = 0.0
-            for i in range(k + 1, n):
-                rest += rows[k][i] * rows[i][j]
-            rows[k][j] = (rows[k][j] - rest) / rows[k][k]
-    return [row[n:] for row in rows]
-
-
-REFINEMENTS = 3
-"""Of a solution, iteratively."""
-
-
-def refined(M: Matrix, x: Vector, b: Vector) -> list[float]:
-    """Return the solution x of M x = b after REFINEMENTS iterative refinements, which make entries that should be 0 tiny."""
-    found = list(x)
-    for _ in range(REFINEMENTS):
-        residual = [[right - dot(row, found)] for row, right in zip(M, b, strict=True)]
-        found = [entry + change for entry, (change,) in zip(found, solve(M, residual), strict=True)]
-    return found
-
-
-def transpose(M: Matrix) -> list[list[float]]:
-    """Return M'."""
-    return [list(column) for column in zip(*M, strict=True)]
-
-
-def indefinite_block(P: Matrix) -> int:
-    """Return the size of the first leading block of a symmetric P (n, n) that is not positive definite; 0 where none is.
-
-    By the pivots of Gaussian elimination, all positive where P is positive definite (Sylvester).
-    """
-    rows = [list(row) for row in P]
-    for k, pivoted in enumerate(rows):
-        if not pivoted[k] > 0.0:
-            return k + 1
-        for i in range(k + 1, len(rows)):
-            factor = rows[i][k] / pivoted[k]
-            for j in range(k, len(rows)):
-                rows[i][j] -= factor * pivoted[j]
-    return 0
 
 
 def chain(n: int) -> list[int]:
@@ -142,71 +72,6 @@ def to_blocks(T: Matrix, P: Matrix, name: str = "Phi") -> list[list[float]]:
     """Return Pz = T^-T P T^-1, both (n, n): the quadratic form x' P x in the coordinates z = T x; raises as `solve`."""
     T_t = transpose(T)
     return solve(T_t, transpose(solve(T_t, P, name)), name)
-
-
-def dot(a: Vector, b: Vector) -> float:
-    """Return a' b, added from the first to the last: `sum` compensates rounding since Python 3.12."""
-    total = 0.0
-    for p, q in zip(a, b, strict=True):
-        total += p * q
-    return total
-
-
-def product(M: Matrix, x: Vector) -> list[float]:
-    """Return M x."""
-    return [dot(row, x) for row in M]
-
-
-CANCELLED = 1e-3
-"""Of its terms' sizes: a sum that is smaller has lost digits that count and is added anew in twice the precision."""
-
-SPLIT = 134217729.0
-"""2^27 + 1: halves a double's digits, T. J. Dekker, Numer. Math. 18 (1971), 224-242."""
-
-
-def exact_dot(a: Vector, b: Vector) -> float:
-    """Return a' b to full precision although its terms cancel, for products below 2^900; others as `dot`.
-
-    States near an axis of the dilation have block coordinates far smaller than their terms, and the norm magnifies them.
-    The second sum is that of T. Ogita, S. M. Rump and S. Oishi, SIAM J. Sci. Comput. 26 (2005), 1955-1988, Dot2.
-    """
-    total, size = 0.0, 0.0
-    for p, q in zip(a, b, strict=True):
-        term = p * q
-        total += term
-        size += abs(term)
-    if not CANCELLED * size > abs(total) or size > MOST_EXACT:
-        return total
-    total, rest = 0.0, 0.0
-    for p, q in zip(a, b, strict=True):
-        term, error = _two_product(p, q)
-        after = total + term
-        part = after - total
-        rest += ((total - (after - part)) + (term - part)) + error
-        total = after
-    return total + rest
-
-
-MOST_EXACT = 2.0**900
-"""Sum of the sizes of products up to which `exact_dot` splits their factors."""
-
-
-def _two_product(a: float, b: float) -> tuple[float, float]:
-    """Return a b as the rounded product and its error, exactly."""
-    a_high, b_high = _high(a), _high(b)
-    a_low, b_low = a - a_high, b - b_high
-    product = a * b
-    return product, a_low * b_low - (((product - a_high * b_high) - a_low * b_high) - a_high * b_low)
-
-
-def _high(a: float) -> float:
-    t = SPLIT * a
-    return t - (t - a)
-
-
-def flushed(value: float, least: float) -> float:
-    """Return `value`, 0 where it is smaller in magnitude than `least`; NaN stays."""
-    return 0.0 if 0.0 < abs(value) < least else value
 
 
 def shift_of(x: Vector) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 from fmu_export.errors import UserError, counted
 
 from .block_form import RANK, combination, scaling
-from .homogeneity import Matrix, product, solve, transpose
+from .linear_algebra import Matrix, product, solve, transpose
 
 Array = np.ndarray
 

@@ -15,23 +15,15 @@ from fmu_export.errors import UserError
 
 from .homogeneity import (
     Exponents,
-    Matrix,
     NormPolynomial,
-    Vector,
     chain,
-    dot,
-    exact_dot,
-    indefinite_block,
     inverse_power,
     norm_polynomial,
-    product,
     radial_quotient,
-    refined,
     shift_of,
-    solve,
     to_blocks,
-    transpose,
 )
+from .linear_algebra import Matrix, Vector, dot, exact_dot, indefinite_block, product, refined, solve, transpose
 
 MOST = 2.0**400
 """Bound on an input that is then multiplied by 2^SHIFT: beyond any limit, within the numbers."""

@@ -7,23 +7,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from . import homogeneity, laws
-from .sampled_unit import MAX_SAMPLES
+from . import homogeneity, laws, linear_algebra, sampled_unit
 
 FOLDER = Path(__file__).parent / "native"
 HEADERS = ("homogeneous.h", "sample_clock.h", "sample_clock_fmu.h")
 
 CONSTANTS: dict[str, int | float] = {
-    "MOST_SAMPLES": MAX_SAMPLES,
+    "MOST_SAMPLES": sampled_unit.MAX_SAMPLES,
     "MOST_BISECTIONS": homogeneity.MOST_BISECTIONS,
     "NEWTON_LIMIT": homogeneity.NEWTON_LIMIT,
-    "REFINEMENTS": homogeneity.REFINEMENTS,
+    "REFINEMENTS": linear_algebra.REFINEMENTS,
     "FAR_APART": homogeneity.FAR,
     "SHIFT": homogeneity.SHIFT,
     "SMALL": 2.0**-homogeneity.SHIFT,
     "LARGE": 2.0**homogeneity.SHIFT,
-    "LEAST": homogeneity.LEAST,
-    "LEAST_ESTIMATE": homogeneity.LEAST_ESTIMATE,
+    "LEAST": sampled_unit.LEAST,
+    "LEAST_ESTIMATE": sampled_unit.LEAST_ESTIMATE,
     "LEAST_GUESS": homogeneity.GUESSES[0],
     "LARGEST_GUESS": homogeneity.GUESSES[1],
     "LEAST_ORDINARY": homogeneity.ORDINARY[0],
@@ -31,9 +30,9 @@ CONSTANTS: dict[str, int | float] = {
     "NEGLIGIBLE": homogeneity.NEGLIGIBLE,
     "UNBOUNDED": homogeneity.UNBOUNDED,
     "CONVERGED": homogeneity.CONVERGED,
-    "CANCELLED": homogeneity.CANCELLED,
-    "MOST_EXACT": homogeneity.MOST_EXACT,
-    "SPLIT": homogeneity.SPLIT,
+    "CANCELLED": linear_algebra.CANCELLED,
+    "MOST_EXACT": linear_algebra.MOST_EXACT,
+    "SPLIT": linear_algebra.SPLIT,
     "MOST": laws.MOST,
 }
 """By their names in C; what each means is told where Python has it."""

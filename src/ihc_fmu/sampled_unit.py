@@ -17,6 +17,13 @@ FAULTS = ("none", "non_finite_input", "non_finite_control")
 MAX_SAMPLES = 1_000_000
 """Most samples in one communication step."""
 
+LEAST = 2.0**-1000
+"""Measurements and filtered values below this, about 1e-301, count as 0: further decay would reach subnormal numbers, on
+which processors are many times slower."""
+
+LEAST_ESTIMATE = 2.0**-300
+"""The same for the estimates of an observer, about 5e-91: models multiply up to three of them."""
+
 NOT_FINITE = "the command is not finite"
 
 
@@ -36,6 +43,11 @@ class SampledState:
     next_sample: int = 0  # index of the next sample instant
     held: bool = False  # whether it has been said that a step held its inputs over several samples
     fault: int = Fault.NONE
+
+
+def flushed(value: float, least: float) -> float:
+    """Return `value`, 0 where it is smaller in magnitude than `least`; NaN stays."""
+    return 0.0 if 0.0 < abs(value) < least else value
 
 
 def check_step(sample_time: float, step: float) -> None:

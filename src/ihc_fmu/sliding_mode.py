@@ -15,7 +15,7 @@ import numpy as np
 from fmu_export.errors import UserError
 
 from .companion import chain_form
-from .homogeneity import product, transpose
+from .linear_algebra import product, transpose
 
 Array = np.ndarray
 

@@ -276,11 +276,12 @@ def test_without_pandas_it_is_said_in_a_sentence(made_result, monkeypatch):
 def test_a_plot_shows_what_is_asked_for(made_result):
     result = made_result(np.arange(5.0), [0.0, 1.0, 2.0, 3.0, 4.0])
     axes = result.plot("plant.theta", "controller.voltage").axes
-    assert [axis.get_ylabel() for axis in axes] == ["plant.theta", "controller.voltage"]
+    assert [axis.get_ylabel() for axis in axes] == ["plant.\ntheta", "controller.\nvoltage"]
     assert np.asarray(axes[0].lines[0].get_ydata()).tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert [axis.get_ylabel() for axis in result.plot().axes][:2] == ["arm θ [rad]", "pendulum δ [rad]"]
     other = Result(result.time, {"tank.T": result.time}, {"tank.T": "degC"}, {})
-    assert [axis.get_ylabel() for axis in other.plot().axes] == ["tank.T [degC]"]
+    assert [axis.get_ylabel() for axis in other.plot().axes] == ["tank.\nT [degC]"]
+    assert other.plot()._repr_png_()[1:4] == b"PNG"  # what a notebook asks for that has not imported pyplot
     with pytest.raises(UserError, match=r"no signal 'tank\.t'"):
         other.plot("tank.t")
     with pytest.raises(UserError, match="at least one row and one signal"):

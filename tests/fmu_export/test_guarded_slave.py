@@ -4,7 +4,6 @@ import random
 
 import pytest
 
-from fmu_export.guarded_slave import code_digest
 from tests.fmu_export.conftest import CONTROLLER, DEMANDING, NAMES, PLANT, STEP, inputs_at
 
 STABILIZING = 3
@@ -85,19 +84,6 @@ def test_fifty_runs_in_one_process_are_the_same_and_load_no_more_modules(name, f
     assert found["same"]
     assert [tuple(row) for row in found["row"]] == [instance.step(k * STEP, STEP) for k in range(3)]
     assert found["modules"][0] == found["modules"][1]
-
-
-# The digest of the bundled code
-
-
-def test_digest_depends_on_the_names_and_contents_of_the_files_only():
-    def digest(**files):
-        return code_digest({f"{file.replace('__', '/')}.py": text.encode() for file, text in files.items()})
-
-    one = digest(a="x = 1", sub__b="y = 2")
-    assert digest(sub__b="y = 2", a="x = 1") == one
-    others = [digest(a="x = 2", sub__b="y = 2"), digest(a="x = 1", sub__c="y = 2"), digest(a="x = 1", b="y = 2")]
-    assert len({one, *others, digest(a="x = 1"), digest(a="y = 2", sub__b="x = 1")}) == 6
 
 
 SOUND = """

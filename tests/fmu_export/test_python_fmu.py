@@ -132,6 +132,7 @@ def test_bundle_holds_the_units_own_packages_and_the_shared_ones_only(name, fmus
         "__init__",
         "errors",
         "guarded_slave",
+        "manifest",
         "shown",
         "variables",
     }

@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from ihc_fmu import homogeneity as hom
 from ihc_fmu.companion import generator
+from ihc_fmu.linear_algebra import product
 from tests.ihc_fmu.blocks import exponents_of, random_blocks, random_system
 from tests.ihc_fmu.conftest import chain_of
 
@@ -101,7 +102,7 @@ def test_polynomial_equals_the_norm_by_the_matrix_exponential(n, m, mu):
     system = random_system(n, m, mu)
     P, x = system.P, np.random.default_rng(n).normal(size=n)
     T = system.T.tolist()
-    c = hom.norm_polynomial(hom.to_blocks(T, P.tolist()), hom.product(T, x.tolist()), system.e, mu)
+    c = hom.norm_polynomial(hom.to_blocks(T, P.tolist()), product(T, x.tolist()), system.e, mu)
     assert len(c.c) == 2 * system.e[0] + 1
     assert sum(c.c) == pytest.approx(x @ P @ x, rel=1e-9)
     for r in (0.3, 0.9, 1.0, 2.5):
@@ -117,20 +118,6 @@ def test_norm_of_the_papers_system_solves_eq_12(designs):
             r = norm(np.array(Pz), chain_of(design).Phi @ x, hom.chain(4), mu)
             y = expm(-G * log(r)) @ x
             assert y @ design.P @ y == pytest.approx(1.0, abs=1e-9)
-
-
-@pytest.mark.parametrize("n", range(1, 8))
-def test_elimination_solves_linear_systems(n):
-    rng = np.random.default_rng(n)
-    M, B = rng.normal(size=(n, n)), rng.normal(size=(n, 2))
-    M[0, 0] = 0.0 if n > 1 else 1.0  # needs a row exchange
-    np.testing.assert_allclose(hom.solve(M.tolist(), B.tolist()), np.linalg.solve(M, B), rtol=1e-9, atol=1e-12)
-
-
-@pytest.mark.parametrize("M", [[[0.0]], [[1.0, 2.0], [2.0, 4.0]], [[1.0, nan], [nan, 1.0]]])
-def test_singular_matrix_is_refused(M):
-    with pytest.raises(ValueError, match="Phi must be regular"):
-        hom.solve(M, [[1.0]] * len(M))
 
 
 # Algorithm 1

@@ -13,7 +13,7 @@ from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 
 from ..companion import chain_form
 from ..design import Design
-from ..homogeneity import dot, solve
+from ..linear_algebra import dot, solve
 from ..sliding_mode import SlidingMode, fitted_smc
 from ..system import PENDULUM
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here

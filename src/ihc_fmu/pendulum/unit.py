@@ -13,8 +13,7 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from .. import homogeneity, laws
-from ..homogeneity import LEAST, flushed
-from ..sampled_unit import NOT_FINITE, Fault, SampledState, SampledUnit
+from ..sampled_unit import LEAST, NOT_FINITE, Fault, SampledState, SampledUnit, flushed
 from . import velocity
 from .interface import (
     DISCRETIZATIONS,

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, sqrt
 
-from ..homogeneity import LEAST, LEAST_ESTIMATE, flushed
+from ..sampled_unit import LEAST, LEAST_ESTIMATE, flushed
 from .nominal_model import NominalModel, predict
 
 State = tuple[float, float, float, float]

@@ -8,7 +8,9 @@ from __future__ import annotations
 from math import sqrt
 from typing import NamedTuple
 
-from ..homogeneity import LEAST_ESTIMATE, Exponents, Matrix, Vector, dot, flushed, solve, transpose
+from ..homogeneity import Exponents
+from ..linear_algebra import Matrix, Vector, dot, solve, transpose
+from ..sampled_unit import LEAST_ESTIMATE, flushed
 
 
 class KalmanFilter(NamedTuple):

@@ -25,8 +25,8 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from .. import homogeneity, laws
-from ..homogeneity import LEAST, Matrix, Vector, dot, flushed
-from ..sampled_unit import NOT_FINITE, Fault, SampledState, SampledUnit
+from ..linear_algebra import Matrix, Vector, dot, solve, transpose
+from ..sampled_unit import LEAST, NOT_FINITE, Fault, SampledState, SampledUnit, flushed
 from .estimators import Estimate, HomogeneousObserver, KalmanFilter, kalman_step, observer_step
 from .interface import DISCRETIZATIONS, ESTIMATORS, INPUTS, LAWS, MODES, NORM_SOLVERS, OUTPUTS, STATES, numbered
 
@@ -119,7 +119,7 @@ class HomogeneousControllerUnit(SampledUnit):
         design = laws.block_design(
             e, T, self._matrix("N", n, n), self._matrix("B", n, m), K, self._matrix("K0", m, n), P, self.mu
         )
-        self.Kiz = homogeneity.transpose(homogeneity.solve(homogeneity.transpose(T), homogeneity.transpose(Ki), "T"))
+        self.Kiz = transpose(solve(transpose(T), transpose(Ki), "T"))
         if not laws.is_finite(design) or not all(math.isfinite(entry) for row in self.Kiz for entry in row):
             raise UserError("P and the gains must be of moderate size, found block coordinates that are not finite")
         self.integrates = any(entry != 0.0 for row in Ki for entry in row)

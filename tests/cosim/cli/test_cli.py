@@ -24,13 +24,14 @@ from cosim.scenario import Scenario
 from cosim.scenario_run import run_scenario
 from ihc_fmu.design import Design
 from ihc_fmu.sliding_mode import linear_pole_smc
+from tests.cosim.browser import Page, check_alone
 from tests.cosim.command import ended, files, finished, sentence, started
 
 OPTIONS = {
     "design": ["--system", "--method", "--mu", "--alpha", "--u-max", "--delta-max", "--beta", "--psi", "--d-max", "-o"],
     "export": ["--design", "--parameters", "--nominal", "--smc", "--output", "-o", "--set"],
-    "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot"],
-    "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set"],
+    "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot", "--report", "--report-file"],
+    "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set", "--report", "--report-file"],
     "demo": ["--output", "-o", "--fmus"],
 }
 SHORT = ("--set", "run.duration=0.3")
@@ -40,6 +41,12 @@ def accepted(*args, cwd):
     done = ended(*args, cwd=cwd)
     assert done.returncode == 0, done.stderr
     assert done.stderr.strip() == ""
+    return done.stdout
+
+
+def accepted_with_notes(*args, cwd):
+    done = ended(*args, cwd=cwd)
+    assert done.returncode == 0, done.stderr
     return done.stdout
 
 
@@ -129,11 +136,11 @@ def test_design_export_run_compare(tmp_path):
         assert re.search(rf"^  {re.escape(q.symbol)} +{re.escape(q.text(value))}( |\\*|$)", said, re.MULTILINE), name
     assert "* no steady state can be told: the run is shorter than 3 s" in said
 
-    options = ("--draws", "1", "--laws", "IHC, LC", "--workers", "1", "-o", "compared")
+    options = ("--draws", "1", "--laws", "IHC, LC", "--workers", "1", "-o", "compared", "--report")
     said = accepted("compare", "tilt", *SHORT, *options, cwd=tmp_path)
     pictures = ["angles.png", "homogeneous_norm.png", "norm.png", "voltage.png"]
     tables = ["IHC.csv", "IHC.json", "LC.csv", "LC.json", "comparison.csv", "comparison.json"]
-    assert files(tmp_path / "compared" / "tilt") == sorted([*tables, *pictures])
+    assert files(tmp_path / "compared" / "tilt") == sorted([*tables, *pictures, "report.html"])
     rows = list(csv.DictReader((tmp_path / "compared" / "tilt" / "comparison.csv").open(encoding="utf-8")))
     assert [(row["law"], row["draw"]) for row in rows] == [("IHC", "1"), ("LC", "1")]
     assert re.search(r"│ settling \[s\] +│ +never │ +never │", said)
@@ -147,13 +154,35 @@ def test_results_are_compared_side_by_side(elsewhere):
     for name, a_min in (("first", "0.88"), ("second", "0.5")):
         change = ("--set", f"controller.start.a_min={a_min}")
         accepted("run", "tilt", *SHORT, *change, "--no-plot", "-o", f"{name}.csv", cwd=elsewhere)
-    said = accepted("compare", "first.csv", "second.csv", "-o", "pictures", cwd=elsewhere)
+    said = accepted("compare", "first.csv", "second.csv", "-o", "pictures", "--report-file", "both.html", cwd=elsewhere)
+    page = Page((elsewhere / "both.html").read_text(encoding="utf-8"))
+    assert {"first.csv", "second.csv"} <= set(page.all("href"))
     assert files(elsewhere / "pictures" / "compared") == [
         f"{n}.png" for n in ("angles", "homogeneous_norm", "norm", "voltage")
     ]
     energies = [evaluate(Result.load(elsewhere / f"{name}.csv")).energy for name in ("first", "second")]
     assert energies[0] != energies[1]
     assert re.search(rf"∫V² dt \[V² s\] +│ +{energies[0]:.4g} │ +{energies[1]:.4g} │", said)
+
+
+def test_a_report_is_written_beside_its_table_or_where_it_is_wanted(elsewhere):
+    mu = ("--set", "controller.start.mu=0.3")
+    said = accepted_with_notes("run", "tilt", *SHORT, *mu, "--no-plot", "--report", cwd=elsewhere)
+    assert "wrote results/tilt.html" in said
+    page = check_alone((elsewhere / "results" / "tilt.html").read_text(encoding="utf-8"))
+    assert "tilt.csv" in page.all("href")
+    notes = [text for tag, text in page.texts if tag == "li" and "certificate" in text]
+    assert notes == ["mu differs from the design's: its certificate does not cover it"]
+    assert "decrease" in str([text for tag, text in page.texts if tag == "th"])
+    said = accepted("run", "tilt", *SHORT, "--no-plot", "--report-file", "pages/mine.html", cwd=elsewhere)
+    assert "removed results/tilt.html, the report of an earlier run" not in said
+    said = accepted("run", "tilt", *SHORT, "--no-plot", cwd=elsewhere)
+    assert "removed results/tilt.html, the report of an earlier run" in said
+    assert files(elsewhere / "results") == ["tilt.csv", "tilt.json"]
+    (elsewhere / "pages" / "mine.html").write_text("mine", encoding="utf-8")
+    stays = refused("run", "tilt", *SHORT, "--report-file", "pages/mine.html", "-o", "new.csv", cwd=elsewhere)
+    assert stays.startswith("pages/mine.html was not written by qube-ihc and stays")
+    assert not (elsewhere / "new.csv").exists()
 
 
 def test_a_run_is_the_same_again_and_knows_where_to_write(elsewhere):
@@ -183,6 +212,7 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
         (("run", "nowhere.toml"), "scenario file nowhere.toml does not exist"),
         (("run", "tilt", "--fmus", "nowhere"), "FMU nowhere/IhcController.fmu does not exist; `qube-ihc export`"),
         (("compare", "tilt", "--fmus", "nowhere"), "FMU nowhere/IhcController.fmu does not exist; `qube-ihc export`"),
+        (("run", "tilt", "--report-file", "a.pdf"), "a report goes into a file named *.html, found a.pdf"),
         (("run", "tilt", "--set", "run.duration"), "--set takes NAME=VALUE, found 'run.duration'"),
         (("run", "tilt", "--set", "run.durration=1"), "tilt: there is no entry run.durration; did you mean duration?"),
         (("run", "tilt", "--set", "run.step=nan"), "tilt: run.step must be a finite number, found nan"),

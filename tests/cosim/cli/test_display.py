@@ -1,5 +1,6 @@
 """Tables: whole at any width; numbers with the digits that their interval leaves; "better" only where it is decided."""
 
+import io
 import re
 
 import numpy as np
@@ -80,3 +81,17 @@ def test_a_large_design_leaves_its_p_to_the_file(shown, n):
     rows = [line for line in shown(200, print_design, design).splitlines() if "[" in line]
     assert len(rows) == 2 + (n if n <= 4 else 0)  # K, K - K_0 and P
     assert (f"│ {n} x {n}, in the file" in shown(200, print_design, design)) == (n > 4)
+
+
+def test_where_colours_are_forced_nothing_moves(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    stream = io.StringIO()
+    output = display.Output(stream, file=stream)
+    monkeypatch.setattr(display, "problems", output)
+    with display.progress() as bar:
+        bar.update(bar.add_task("runs", total=2), completed=1)
+    with output.status("building"):
+        output.print("[red]built[/]")
+    assert stream.getvalue() == "\x1b[31mbuilt\x1b[0m\n"

@@ -110,6 +110,7 @@ def one_sentence(error):
     assert text
     assert len(io.StringIO(text).readlines()) == 1
     assert not text.endswith(".")
+    assert ". " not in text
     return text
 
 

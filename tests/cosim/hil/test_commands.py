@@ -23,6 +23,7 @@ from cosim.hil.log import LiveLog
 from cosim.hil.replay import replay
 from cosim.hil.simulated import HOLD
 from cosim.results import Result
+from tests.cosim.browser import check_alone
 from tests.cosim.command import ended, files, finished, sentence, started
 
 STAND_IN = Path(__file__).parent / "stand_in"
@@ -52,7 +53,7 @@ def on_board(stand_in, hil):
     return run
 
 
-def about(path):
+def metadata_of(path):
     return json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))["metadata"]
 
 
@@ -81,11 +82,20 @@ def wait_for_rows(process, folder, rows):
 
 
 def test_run_leaves_log_and_picture(logged):
-    assert files(logged.parent) == ["run.csv", "run.json", "run.png"]
+    assert files(logged.parent) == ["run.csv", "run.html", "run.json", "run.png"]
     result = Result.load(logged)
     assert np.round(result.time / PERIOD).tolist() == list(range(3001))
     assert result.metadata["hil"]["stop"] == "complete"
     assert {"plant.theta_encoder", "controller.voltage", "hil.latency"} <= set(result.signals)
+
+
+def test_the_page_of_a_run_says_how_it_ended_and_its_timing(logged):
+    page = check_alone(logged.with_suffix(".html").read_text(encoding="utf-8"))
+    texts = [text.strip() for _, text in page.texts]
+    assert {"stopped at 0 V", "the duration is over", "timing of the run [us]", "missed periods: 0 of 3000"} <= {
+        text.partition(" (a bare")[0] for text in texts
+    }
+    assert page.all("href") == ["run.csv"]
 
 
 def test_earlier_run_stays(tmp_path, hil, logged):
@@ -94,7 +104,9 @@ def test_earlier_run_stays(tmp_path, hil, logged):
     done = hil("--lockstep", "--duration", "0.2")
     assert done.returncode == 0, done.stderr
     assert "stopped at 0 V: the duration is over" in done.stdout
-    assert files(out) == [f"run{n}.{kind}" for n in ("", "_2") for kind in ("csv", "json", "png")]
+    assert files(out) == sorted(
+        ["run.html", *(f"run{n}.{kind}" for n in ("", "_2") for kind in ("csv", "json", "png"))]
+    )
     assert (out / "run.csv").read_bytes() == logged.read_bytes()
     first, second = (Result.load(out / name)["controller.voltage"] for name in ("run.csv", "run_2.csv"))
     assert second.tolist() == first[:201].tolist()
@@ -126,7 +138,7 @@ def test_fault_of_the_script_ends_the_run(tmp_path, hil):
     assert "stopped at 0 V: the amplifier reports a fault" in done.stdout
     path = tmp_path / "out" / "run.csv"
     assert Result.load(path).time[-1] == pytest.approx(0.3)  # after 0.5 s of rest
-    assert (about(path)["hil"]["stop"], about(path)["complete"]) == ("fault", False)
+    assert (metadata_of(path)["hil"]["stop"], metadata_of(path)["complete"]) == ("fault", False)
     assert not path.with_suffix(".rows").exists()
 
 
@@ -136,7 +148,7 @@ def test_unplugged_board_ends_the_run(tmp_path, on_board):
     assert "stopped at 0 V" not in done.stdout
     assert "while stopping: setting 0 V: " in done.stdout
     assert "check its USB cable" in done.stdout
-    assert len(about(tmp_path / "out" / "run.csv")["hil"]["failures"]) == 6
+    assert len(metadata_of(tmp_path / "out" / "run.csv")["hil"]["failures"]) == 6
 
 
 def test_stop_that_failed_is_no_success(on_board):
@@ -173,7 +185,7 @@ def test_refusals(tmp_path, hil, args, said):
     "command", [("hil", "--lockstep"), ("hil", "--device", "qube"), ("device", "--once")], ids=" ".join
 )
 @pytest.mark.parametrize(
-    ("entry", "found"),
+    ("entry", "what"),
     [
         (
             '[[signals]]\nkind = "step"\ninput = "plant.pendulum_torque"\nvalue = 0.001',
@@ -183,10 +195,10 @@ def test_refusals(tmp_path, hil, args, said):
     ],
     ids=["signal", "disturbance"],
 )
-def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, found):
+def test_what_acts_on_a_devices_plant_is_refused(tmp_path, fmus, command, entry, what):
     (tmp_path / "pushed.toml").write_text(entry, encoding="utf-8")
     said = sentence(ended(*command, "--scenario", "pushed.toml", "--fmus", fmus, cwd=tmp_path))
-    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {found}"
+    assert said == f"on a device signals can act on the controller's inputs only, and the scenario pushed has {what}"
 
 
 @without_sdk
@@ -253,7 +265,7 @@ def test_interrupt(tmp_path, fmus):
     loop.send_signal(signal.SIGINT)
     done = finished(loop)
     logged = (out / "run.csv").exists()  # not where a stall ended the run in its checks
-    stop = about(out / "run.csv")["hil"]["stop"] if logged else "fault"
+    stop = metadata_of(out / "run.csv")["hil"]["stop"] if logged else "fault"
     assert (done.returncode, stop) in {(130, "signal"), (1, "fault")}, done.stderr
     said = {"signal": "stopped by SIGINT", "fault": "the device cut its voltage by itself"}[stop]
     assert f"stopped at 0 V: {said}" in done.stdout

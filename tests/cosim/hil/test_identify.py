@@ -60,12 +60,12 @@ def with_signals(log, metadata=None, **changes):
     return Result(log.time, signals, dict.fromkeys(signals, "1"), log.metadata if metadata is None else metadata)
 
 
-def rows(log, chosen):
-    return Result(log.time[chosen], {n: s[chosen] for n, s in log.signals.items()}, log.units, log.metadata)
+def rows(log, kept):
+    return Result(log.time[kept], {n: s[kept] for n, s in log.signals.items()}, log.units, log.metadata)
 
 
-def values(found):
-    return {name: estimate.value for name, estimate in found.estimates.items()}
+def values(fit):
+    return {name: estimate.value for name, estimate in fit.estimates.items()}
 
 
 # What is found
@@ -73,24 +73,24 @@ def values(found):
 
 def test_friction_and_damping_are_found_through_the_encoders(swing_up):
     trials = []
-    found = identify(swing_up(10.0), IDENT, progress=lambda *report: trials.append(report))
-    assert list(found.estimates) == ["D_r", "D_p", "T_r"]
+    fit = identify(swing_up(10.0), IDENT, progress=lambda *report: trials.append(report))
+    assert list(fit.estimates) == ["D_r", "D_p", "T_r"]
     for name, tolerance in (("D_r", 0.03), ("D_p", 0.03), ("T_r", 0.06)):
-        estimate = found.estimates[name]
+        estimate = fit.estimates[name]
         assert estimate.value == pytest.approx(TRUE[name], rel=tolerance)
         assert estimate.low < estimate.value < estimate.high
         assert estimate.high - estimate.low < 4 * tolerance * TRUE[name]
         assert estimate.identifiable
-    assert found.estimates["D_r"].low <= TRUE["D_r"] <= found.estimates["D_r"].high
-    assert found.estimates["D_p"].low <= TRUE["D_p"] <= found.estimates["D_p"].high
-    assert abs(found.bias.value) < RESOLUTION
-    assert found.rms_after == pytest.approx(RESOLUTION / math.sqrt(12), rel=0.15)
-    assert found.rms_before > 2 * found.rms_after
-    assert not found.disturbed
-    assert found.disturbance < 4e-3
-    assert (found.segments, found.samples) == (40, 10_000)
+    assert fit.estimates["D_r"].low <= TRUE["D_r"] <= fit.estimates["D_r"].high
+    assert fit.estimates["D_p"].low <= TRUE["D_p"] <= fit.estimates["D_p"].high
+    assert abs(fit.bias.value) < RESOLUTION
+    assert fit.rms_after == pytest.approx(RESOLUTION / math.sqrt(12), rel=0.15)
+    assert fit.rms_before > 2 * fit.rms_after
+    assert not fit.disturbed
+    assert fit.disturbance < 4e-3
+    assert (fit.segments, fit.samples) == (40, 10_000)
     assert [number for number, _ in trials] == list(range(1, len(trials) + 1))
-    assert trials[-1][1] == pytest.approx(found.rms_after, rel=0.05)
+    assert trials[-1][1] == pytest.approx(fit.rms_after, rel=0.05)
 
 
 def test_friction_cannot_be_told_from_a_disturbance_that_the_model_lacks(fmus):
@@ -98,22 +98,22 @@ def test_friction_cannot_be_told_from_a_disturbance_that_the_model_lacks(fmus):
     sines = [{"amplitude": 0.02, "frequency": 10.0}, {"amplitude": 0.01, "frequency": 3.0}]
     changes = {"plant.start.T_r": 2e-4, "disturbance.gain": 3.0, "disturbance.sines": sines, "run.seed": 2}
     scenario, folder = load_scenario("swing_up")
-    found = identify(run_scenario(scenario.changed(changes), fmus, folder), IDENT)
-    assert found.estimates["T_r"].low > 2 * 2e-4
-    assert found.disturbed
-    assert found.disturbance == pytest.approx(0.047, rel=0.4)
-    assert {name for name, e in found.estimates.items() if not e.identifiable} == {"D_r", "T_r"}
+    fit = identify(run_scenario(scenario.changed(changes), fmus, folder), IDENT)
+    assert fit.estimates["T_r"].low > 2 * 2e-4
+    assert fit.disturbed
+    assert fit.disturbance == pytest.approx(0.047, rel=0.4)
+    assert {name for name, e in fit.estimates.items() if not e.identifiable} == {"D_r", "T_r"}
 
 
 def test_with_ideal_sensors_inertias_too_are_found_exactly(exact):
     """The simulation of the fit is that of the plant; from a start that is far off."""
     start = replace(IDENT, parameters=replace(IDENT.parameters, D_p=0.0, J_r=4e-5, J_p=4e-5))
-    found = identify(exact, start, ("D_r", "D_p", "T_r", "J_r", "J_p"), SHORT)
+    fit = identify(exact, start, ("D_r", "D_p", "T_r", "J_r", "J_p"), SHORT)
     expected = TRUE | {"J_r": IDENT.parameters.J_r, "J_p": IDENT.parameters.J_p}
-    assert values(found) == pytest.approx(expected, rel=1e-3)
-    assert found.rms_after < 1e-6
-    assert not found.disturbed
-    assert abs(found.bias.value) < 1e-6
+    assert values(fit) == pytest.approx(expected, rel=1e-3)
+    assert fit.rms_after < 1e-6
+    assert not fit.disturbed
+    assert abs(fit.bias.value) < 1e-6
 
 
 def test_absent_friction_is_found_absent(swing_up):
@@ -126,14 +126,14 @@ def test_absent_friction_is_found_absent(swing_up):
 
 def test_the_fitted_set_is_the_start_but_for_what_was_identified(log, tmp_path):
     start = replace(IDENT, back_emf=False)
-    found = identify(log, start, ["D_r"], SHORT)
-    fitted = found.parameters
-    assert fitted.parameters == replace(IDENT.parameters, D_r=found.estimates["D_r"].value)
+    fit = identify(log, start, ["D_r"], SHORT)
+    fitted = fit.parameters
+    assert fitted.parameters == replace(IDENT.parameters, D_r=fit.estimates["D_r"].value)
     assert (fitted.name, fitted.back_emf) == ("ident_identified", False)
     assert fitted.source == f"D_r identified from a log of swing_up, 4 s; the rest: {IDENT.source}"
     parameter_files.save(tmp_path / "mine.toml", fitted)
     assert parameter_files.load(tmp_path / "mine.toml").parameters == fitted.parameters
-    without, with_emf = found.estimates["D_r"].value, identify(log, IDENT, ["D_r"], SHORT).estimates["D_r"].value
+    without, with_emf = fit.estimates["D_r"].value, identify(log, IDENT, ["D_r"], SHORT).estimates["D_r"].value
     p = IDENT.parameters
     assert without - with_emf == pytest.approx(p.k_m**2 / p.R_m, rel=0.02)  # damping that the motor does not explain
 
@@ -147,9 +147,9 @@ def test_the_fitted_set_is_the_start_but_for_what_was_identified(log, tmp_path):
     ids=["no inductance in the model", "D_r + k_m^2/R_m and k_m/R_m"],
 )
 def test_what_the_log_does_not_tell_is_said(exact, names, told):
-    found = identify(exact, IDENT, names, SHORT)
-    assert {name: estimate.identifiable for name, estimate in found.estimates.items()} == told
-    for estimate in found.estimates.values():
+    fit = identify(exact, IDENT, names, SHORT)
+    assert {name: estimate.identifiable for name, estimate in fit.estimates.items()} == told
+    for estimate in fit.estimates.values():
         assert math.isinf(estimate.high) != estimate.identifiable
         assert estimate.low >= 0.0
 
@@ -162,8 +162,8 @@ def test_a_still_arm_tells_nothing_of_its_friction():
     signals = {"plant.theta_encoder": 0.0 * t, "plant.delta_encoder": math.pi + 0.1 * np.cos(omega * t)}
     log = Result(t, signals | {"controller.voltage": 0.0 * t}, {}, {})
     heavy = replace(IDENT, parameters=replace(p, J_r=1e3))
-    found = identify(log, heavy, segment=SHORT)
-    assert {n: e.identifiable for n, e in found.estimates.items()} == {"D_r": False, "D_p": True, "T_r": False}
+    fit = identify(log, heavy, segment=SHORT)
+    assert {n: e.identifiable for n, e in fit.estimates.items()} == {"D_r": False, "D_p": True, "T_r": False}
 
 
 # What a log may be
@@ -189,18 +189,18 @@ def test_missed_rows_are_bridged(swing_up):
     missed = np.random.default_rng(1).random(len(whole.time)) < 0.5
     missed[::2] = False
     gaps = rows(whole, np.flatnonzero(~missed))
-    found, expected = (identify(log, IDENT, segment=SHORT) for log in (gaps, whole))
-    assert found.samples < 0.8 * expected.samples
-    assert found.segments == expected.segments
-    assert values(found) == pytest.approx(values(expected), rel=0.05)
-    assert values(found) == pytest.approx(TRUE, rel=0.1)
+    fit, expected = (identify(log, IDENT, segment=SHORT) for log in (gaps, whole))
+    assert fit.samples < 0.8 * expected.samples
+    assert fit.segments == expected.segments
+    assert values(fit) == pytest.approx(values(expected), rel=0.05)
+    assert values(fit) == pytest.approx(TRUE, rel=0.1)
 
 
 def test_a_long_gap_is_left_out(log):
     whole, cut = identify(log, IDENT, segment=SHORT), rows(log, np.flatnonzero(np.abs(log.time - 2.5) > 0.3))
-    found = identify(cut, IDENT, segment=SHORT)
-    assert found.segments == whole.segments - 6
-    assert values(found) == pytest.approx(values(whole), rel=0.1)
+    fit = identify(cut, IDENT, segment=SHORT)
+    assert fit.segments == whole.segments - 6
+    assert values(fit) == pytest.approx(values(whole), rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -32,15 +32,15 @@ from cosim.results import Result
 from tests.cosim.hil.rig import one_sentence
 
 LAYOUT = Layout(("voltage", "norm"), ("mode",), {"voltage": "V", "mode": "1", "norm": "1"})
-ABOUT = {"step": 1e-3, "order": "controller-first"}
+METADATA = {"step": 1e-3, "order": "controller-first"}
 MS = 1_000_000
 
 WRITER = """
 import os, signal, sys
 from pathlib import Path
 from cosim.hil.log import RowLog
-from tests.cosim.hil.test_log import ABOUT, LAYOUT, values
-log = RowLog(Path(sys.argv[1]), LAYOUT, 1000, ABOUT)
+from tests.cosim.hil.test_log import METADATA, LAYOUT, values
+log = RowLog(Path(sys.argv[1]), LAYOUT, 1000, METADATA)
 for k in range(int(sys.argv[2])):
     log.append(*values(k))
 if sys.argv[3] == "kill":
@@ -64,8 +64,8 @@ def made(tmp_path):
     """Make a log with some rows; all are removed at the end."""
     logs = []
 
-    def make(rows=3, capacity=10, name="run.rows", about=ABOUT, ticks=None):
-        log = RowLog(tmp_path / name, LAYOUT, capacity, about)
+    def make(rows=3, capacity=10, name="run.rows", metadata=METADATA, ticks=None):
+        log = RowLog(tmp_path / name, LAYOUT, capacity, metadata)
         logs.append(log)
         for k in range(rows):
             log.append(*values(k, None if ticks is None else ticks[k]))
@@ -103,9 +103,9 @@ def writer(path, rows, how):
 
 
 def test_rows_come_back_exactly(made):
-    layout, about, rows = read(made(5))
+    layout, metadata, rows = read(made(5))
     assert layout == LAYOUT
-    assert about == ABOUT
+    assert metadata == METADATA
     assert rows.dtype.names == (*LAYOUT.names, "number", "crc")
     for k, row in enumerate(rows):
         assert list(row.tolist())[:-1] == [*values(k), k + 1]
@@ -138,7 +138,7 @@ def test_extreme_values_are_kept(made):
 def test_a_log_without_rows_is_one(made):
     layout, _, rows = read(made(0))
     assert len(rows) == 0
-    assert len(to_result(layout, rows, ABOUT).time) == 0
+    assert len(to_result(layout, rows, METADATA).time) == 0
 
 
 def test_beyond_the_capacity_what_is_there_stays(made):
@@ -184,24 +184,24 @@ def test_a_file_that_was_cut_keeps_its_whole_rows(made, cut):
 def test_a_log_that_exists_is_never_overwritten(made):
     log = made()
     with pytest.raises((UserError, FileExistsError)):
-        RowLog(log.path, LAYOUT, 3, ABOUT)
+        RowLog(log.path, LAYOUT, 3, METADATA)
     assert len(read(log)[2]) == 3
 
 
 def test_a_log_that_exists_is_a_user_error(made):
     log = made()
     with pytest.raises(UserError):
-        RowLog(log.path, LAYOUT, 3, ABOUT)
+        RowLog(log.path, LAYOUT, 3, METADATA)
 
 
 def test_a_log_without_room_leaves_no_file(tmp_path):
     with pytest.raises((UserError, OSError)):
-        RowLog(tmp_path / "run.rows", LAYOUT, 2**52, ABOUT)
+        RowLog(tmp_path / "run.rows", LAYOUT, 2**52, METADATA)
     assert not list(tmp_path.iterdir())
 
 
 def test_folders_are_made_and_the_file_goes_away(tmp_path):
-    log = RowLog(tmp_path / "a" / "b" / "run.rows", LAYOUT, 3, ABOUT)
+    log = RowLog(tmp_path / "a" / "b" / "run.rows", LAYOUT, 3, METADATA)
     assert log.path.exists()
     for _ in range(2):
         log.discard()
@@ -220,7 +220,7 @@ def test_rows_survive_the_kill_of_their_writer(tmp_path):
     assert (target, count) == (tmp_path / "run.csv", 137)
     assert not path.exists()
     result = Result.load(target)
-    assert result.metadata == {**ABOUT, "complete": False, "recovered": True}
+    assert result.metadata == {**METADATA, "complete": False, "recovered": True}
     assert result["controller.voltage"].tolist() == [1.0 / (k + 1) for k in range(137)]
     assert recover(tmp_path) == []
 
@@ -274,7 +274,7 @@ def test_a_file_that_is_no_log_keeps_no_other_back(made, tmp_path, content):
 
 
 def header(**changes):
-    right = {"reals": ["voltage"], "integers": [], "units": {"voltage": "V"}, "about": ABOUT}
+    right = {"reals": ["voltage"], "integers": [], "units": {"voltage": "V"}, "metadata": METADATA}
     text = json.dumps({k: v for k, v in {**right, **changes}.items() if v is not ...}).encode()
     return struct.pack("<8sQ", MAGIC, len(text)) + text
 
@@ -307,7 +307,7 @@ def test_a_file_that_is_no_log_is_a_user_error(tmp_path, content):
 
 @pytest.mark.parametrize(
     "content",
-    [header(about=...), struct.pack("<8sQ", MAGIC, 2**63) + header()[16:]],
+    [header(metadata=...), struct.pack("<8sQ", MAGIC, 2**63) + header()[16:]],
     ids=["no metadata", "long header"],
 )
 def test_a_header_without_metadata_or_longer_than_the_file_is_a_user_error(tmp_path, content):
@@ -367,8 +367,8 @@ def test_looking_does_not_take_the_lock_for_good(made):
 
 
 def test_a_result_has_a_simulations_names_units_and_signs(made):
-    layout, about, rows = read(made(4))
-    result = to_result(layout, rows, about)
+    layout, metadata, rows = read(made(4))
+    result = to_result(layout, rows, metadata)
     assert list(result.signals)[:3] == ["controller.voltage", "controller.mode", "controller.norm"]
     assert result.units["controller.voltage"] == "V"
     assert set(result.units) == set(result.signals)
@@ -379,19 +379,19 @@ def test_a_result_has_a_simulations_names_units_and_signs(made):
     np.testing.assert_array_equal(result["hil.tachometer"], -RESOLUTION * rows["tachometer"])
     np.testing.assert_array_equal(result["hil.applied_voltage"], rows["applied_voltage"])
     assert result["controller.mode"].dtype == np.int64
-    assert result.metadata == ABOUT
+    assert result.metadata == METADATA
 
 
 def test_missed_periods_are_gaps_in_time(made):
-    layout, about, rows = read(made(4, ticks=[17, 18, 22, 23]))
-    result = to_result(layout, rows, about)
+    layout, metadata, rows = read(made(4, ticks=[17, 18, 22, 23]))
+    result = to_result(layout, rows, metadata)
     assert result["hil.missed"].tolist() == [0, 0, 3, 0]
     np.testing.assert_array_equal(result.time, np.array([0, 1, 5, 6]) * 1e-3)
 
 
 def test_a_result_survives_its_file(made, tmp_path, same):
-    layout, about, rows = read(made(6))
-    result = to_result(layout, rows, about)
+    layout, metadata, rows = read(made(6))
+    result = to_result(layout, rows, metadata)
     result.save(tmp_path / "saved.csv")
     same(Result.load(tmp_path / "saved.csv"), result)
 
@@ -415,29 +415,29 @@ def test_lateness_without_due_times_leaves_the_clocks_drift_out():
     ticks = np.arange(2000)
     late = np.where(ticks % 100 == 50, 200e-6, 0.0)
     woke = 5 * 10**12 + np.round((ticks * 1.0001e-3 + late) * 1e9).astype(np.int64)  # a clock 100 ppm slow
-    found = lateness(readings(ticks, woke), 1e-3)
-    assert np.min(found) == 0.0
-    np.testing.assert_allclose(found, late, atol=5e-6)
+    late_by = lateness(readings(ticks, woke), 1e-3)
+    assert np.min(late_by) == 0.0
+    np.testing.assert_allclose(late_by, late, atol=5e-6)
 
 
 def test_lateness_counts_from_the_ticks_that_were_seen():
     ticks = np.array([7, 8, 12, 13])
-    found = lateness(readings(ticks, 10**9 + ticks * MS), 1e-3)
-    np.testing.assert_allclose(found, 0.0, atol=1e-9)
+    late_by = lateness(readings(ticks, 10**9 + ticks * MS), 1e-3)
+    np.testing.assert_allclose(late_by, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_lateness_of_few_rows(count):
-    found = lateness(readings(range(count), [10**9 + k * MS for k in range(count)]), 1e-3)
-    np.testing.assert_allclose(found, 0.0, atol=1e-12)
+    late_by = lateness(readings(range(count), [10**9 + k * MS for k in range(count)]), 1e-3)
+    np.testing.assert_allclose(late_by, 0.0, atol=1e-12)
 
 
 def test_percentiles():
     assert percentiles([]) == {}
     assert percentiles(np.zeros(0)) == {}
     assert percentiles([2.0]) == {"p50": 2.0, "p99": 2.0, "p99.9": 2.0, "max": 2.0}
-    found = percentiles(np.arange(1001.0))
-    assert found == pytest.approx({"p50": 500.0, "p99": 990.0, "p99.9": 999.0, "max": 1000.0})
+    values = percentiles(np.arange(1001.0))
+    assert values == pytest.approx({"p50": 500.0, "p99": 990.0, "p99.9": 999.0, "max": 1000.0})
 
 
 # Names

@@ -70,10 +70,10 @@ def test_overlay_writes_its_pictures(tmp_path, fmus, logged):
 
 
 def test_identify_writes_parameters(tmp_path, logged):
-    done = ended("identify", logged, "--fit", "D_p", "-o", "found.toml", cwd=tmp_path)
+    done = ended("identify", logged, "--fit", "D_p", "-o", "mine.toml", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert files(tmp_path) == ["found.toml"]
-    assert "D_p" in (tmp_path / "found.toml").read_text(encoding="utf-8")
+    assert files(tmp_path) == ["mine.toml"]
+    assert "D_p" in (tmp_path / "mine.toml").read_text(encoding="utf-8")
 
 
 def test_log_that_is_missing(tmp_path):

@@ -35,22 +35,22 @@ def test_a_perfect_model_lies_on_the_device_but_for_the_counts(long_log, both):
 
     The first sample of the capture may be another, which the arm forgets in the two seconds after it.
     """
-    found = resimulate(long_log, both)
-    np.testing.assert_array_equal(found.measured.time, long_log.time)
-    np.testing.assert_allclose(found.simulated.time, long_log.time, atol=1e-12)
-    assert found.simulated.metadata["start_values"]["plant"]["delta_encoder_offset"] == pytest.approx(0.9, abs=0.1)
-    assert found.beginning.rms == pytest.approx(RESOLUTION / math.sqrt(12.0), rel=0.1)
-    late = found.measured.time >= 3.0
-    signals = {name: signal[late] for name, signal in found.measured.signals.items()}
-    settled = Result(found.measured.time[late], signals, found.measured.units, found.measured.metadata)
-    different = differences(settled, found.simulated, MEASURED)
+    overlay = resimulate(long_log, both)
+    np.testing.assert_array_equal(overlay.measured.time, long_log.time)
+    np.testing.assert_allclose(overlay.simulated.time, long_log.time, atol=1e-12)
+    assert overlay.simulated.metadata["start_values"]["plant"]["delta_encoder_offset"] == pytest.approx(0.9, abs=0.1)
+    assert overlay.beginning.rms == pytest.approx(RESOLUTION / math.sqrt(12.0), rel=0.1)
+    late = overlay.measured.time >= 3.0
+    signals = {name: signal[late] for name, signal in overlay.measured.signals.items()}
+    settled = Result(overlay.measured.time[late], signals, overlay.measured.units, overlay.measured.metadata)
+    different = differences(settled, overlay.simulated, MEASURED)
     assert different["plant.theta_encoder"] < 3.0 * RESOLUTION
     assert different["plant.delta_encoder"] < 2.0 * RESOLUTION
 
 
 def test_the_passive_pendulum_of_a_log_is_met_from_the_middle(log, both):
-    found = resimulate(log, both, "ident", begin=0.7)
-    measured, simulated = found.measured, found.simulated
+    overlay = resimulate(log, both, "ident", begin=0.7)
+    measured, simulated = overlay.measured, overlay.simulated
     assert measured.time[0] == simulated.time[0] == 0.0
     assert len(measured.time) == len(simulated.time) == 2301
     for name in ("plant.theta_encoder", "plant.delta_encoder"):
@@ -112,8 +112,8 @@ def test_unknown_parameters_are_a_user_error(log, both):
 
 def test_missed_rows_are_compared_at_their_own_times(fmus, tmp_path, both):
     gaps = run(lockstep(fmus, "late@0.2=4,late@0.3=3"), fmus, tmp_path, 0.5).result
-    found = resimulate(gaps, both, "ident")
-    measured, simulated = found.measured, found.simulated
+    overlay = resimulate(gaps, both, "ident")
+    measured, simulated = overlay.measured, overlay.simulated
     assert len(measured.time) == 501 - 7
     assert len(simulated.time) == 501
     picked = np.round(measured.time * 1000).astype(int)
@@ -126,9 +126,9 @@ def test_differences_of_the_pendulum_know_no_turns(made_result):
     signals = {"plant_theta_encoder": 0.0, "controller_voltage": 1.0}
     a = made_result(time, plant_delta_encoder=0.1, **signals)
     b = made_result(time, plant_delta_encoder=0.1 + 4.0 * math.pi, **{**signals, "controller_voltage": 3.0})
-    found = differences(a, b, ("plant.delta_encoder", "controller.voltage"), ("plant.delta_encoder",))
-    assert found["plant.delta_encoder"] == pytest.approx(0.0, abs=1e-12)
-    assert found["controller.voltage"] == 2.0
+    overlay = differences(a, b, ("plant.delta_encoder", "controller.voltage"), ("plant.delta_encoder",))
+    assert overlay["plant.delta_encoder"] == pytest.approx(0.0, abs=1e-12)
+    assert overlay["controller.voltage"] == 2.0
 
 
 def test_a_simulation_is_compared_as_an_encoder_sees_it(made_result):

@@ -1,4 +1,4 @@
-"""A log fed to the controller again gives its outputs to the last bit, and what was changed is found."""
+"""A log fed to the controller again gives its outputs to the last bit, and what was changed is replayed."""
 
 from dataclasses import replace as changed
 
@@ -59,19 +59,19 @@ def with_metadata(result, **changes):
     ],
 )
 def test_a_log_is_replayed_exactly(logs, fmu, script, duration, samples):
-    found = replay(logs(script, duration), fmu)
-    assert found.first is None
-    assert (found.samples, found.differing, found.same_fmu) == (samples, 0, True)
+    replayed = replay(logs(script, duration), fmu)
+    assert replayed.first is None
+    assert (replayed.samples, replayed.differing, replayed.same_fmu) == (samples, 0, True)
 
 
 @pytest.mark.parametrize("changes", [{}, {"controller__start__velocity_source": "kalman"}, {"run__step": 2e-3}])
 def test_a_simulations_result_from_its_file_is_replayed_exactly(fmus, fmu, tmp_path, changes):
     scenario, folder = scenario_of(2.0, **changes)
     run_scenario(scenario, fmus, folder).save(tmp_path / "run.csv")
-    found = replay(Result.load(tmp_path / "run.csv"), fmu)
-    assert found.first is None
-    assert found.samples == round(2.0 / scenario.run.step)
-    assert found.same_fmu
+    replayed = replay(Result.load(tmp_path / "run.csv"), fmu)
+    assert replayed.first is None
+    assert replayed.samples == round(2.0 / scenario.run.step)
+    assert replayed.same_fmu
 
 
 @pytest.mark.parametrize("script", [None, "", "arm-jump@0.2=500,pendulum-jump@0.3=-900,late@0.35=3"])
@@ -82,13 +82,13 @@ def test_a_run_with_a_signal_on_the_controller_is_replayed_with_it(fmus, fmu, tm
     if script is None:
         result = run_scenario(scenario, fmus, folder)
     else:
-        system, about = build_system(scenario, fmus, folder), {"scenario": scenario.model_dump(mode="json")}
+        system, metadata = build_system(scenario, fmus, folder), {"scenario": scenario.model_dump(mode="json")}
         device = lockstep(fmus, script)
-        loop = Loop(device, system.components[0], settings_of(0.4), tmp_path / "run", about, signals=system.signals)
+        loop = Loop(device, system.components[0], settings_of(0.4), tmp_path / "run", metadata, signals=system.signals)
         result = loop.run().result
         loop.log.discard()
-    found = replay(result, fmu)
-    assert (found.first, found.samples) == (None, 395 if script else 400)
+    replayed = replay(result, fmu)
+    assert (replayed.first, replayed.samples) == (None, 395 if script else 400)
     moved = replay(with_signal(result, "controller.theta_setpoint", 100, 0.0), fmu)
     assert moved.first is not None
     assert moved.first.time == result.time[100]
@@ -101,26 +101,26 @@ def test_a_run_with_a_signal_on_the_controller_is_replayed_with_it(fmus, fmu, tm
 def test_a_changed_voltage_is_found_where_it_is(logs, fmu, row):
     log = logs()
     value = np.nextafter(log["controller.voltage"][row], 99.0)
-    found = replay(with_signal(log, "controller.voltage", row, value), fmu)
-    assert found.differing == 1
-    first = found.first
+    replayed = replay(with_signal(log, "controller.voltage", row, value), fmu)
+    assert replayed.differing == 1
+    first = replayed.first
     assert first is not None
     assert (first.time, first.name) == (log.time[row], "voltage")
     assert (first.logged, first.replayed) == (value, log["controller.voltage"][row])
 
 
 def test_a_changed_mode_is_found(logs, fmu):
-    found = replay(with_signal(logs(), "controller.mode", 700, 4), fmu)
-    assert found.first is not None
-    assert (found.differing, found.first.name, found.first.logged) == (1, "mode", 4)
+    replayed = replay(with_signal(logs(), "controller.mode", 700, 4), fmu)
+    assert replayed.first is not None
+    assert (replayed.differing, replayed.first.name, replayed.first.logged) == (1, "mode", 4)
 
 
 def test_a_changed_measurement_shows_in_the_row_after(logs, fmu):
     log = logs()
-    found = replay(with_signal(log, "plant.theta_encoder", 500, log["plant.theta_encoder"][500] + 0.1), fmu)
-    assert found.first is not None
-    assert found.first.time == log.time[501]
-    assert found.differing > 1
+    replayed = replay(with_signal(log, "plant.theta_encoder", 500, log["plant.theta_encoder"][500] + 0.1), fmu)
+    assert replayed.first is not None
+    assert replayed.first.time == log.time[501]
+    assert replayed.differing > 1
 
 
 def test_a_sign_of_zero_is_a_difference(logs, fmu):
@@ -134,15 +134,15 @@ def test_a_sign_of_zero_is_a_difference(logs, fmu):
 def test_another_start_value_shows(logs, fmu):
     log = logs()
     start = {"controller": {**log.metadata["start_values"]["controller"], "swing_up_energy_gain": 100.0}}
-    found = replay(with_metadata(log, start_values=start), fmu)
-    assert found.first is not None
+    replayed = replay(with_metadata(log, start_values=start), fmu)
+    assert replayed.first is not None
 
 
 def test_another_file_is_told(logs, fmu):
     log = logs()
     other = {"controller": {**log.metadata["fmus"]["controller"], "guid": "{other}"}}
-    found = replay(with_metadata(log, fmus=other), fmu)
-    assert (found.first, found.same_fmu) == (None, False)
+    replayed = replay(with_metadata(log, fmus=other), fmu)
+    assert (replayed.first, replayed.same_fmu) == (None, False)
 
 
 @pytest.mark.parametrize("rows", [0, 1])

@@ -103,9 +103,9 @@ class Relay:
                     data = self.back.recv(2048)
                     send = self._to(peer)
                 self.seen += 1
-                chosen = self.seen % self.every == 0
-                self.lost += chosen
-                times = 1 if not chosen else 2 if self.double else 0
+                hit = self.seen % self.every == 0
+                self.lost += hit
+                times = 1 if not hit else 2 if self.double else 0
                 for _ in range(times):
                     send(data)
 

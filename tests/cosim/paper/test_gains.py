@@ -86,9 +86,9 @@ def test_no_reading_of_the_printed_k_is_stable_but_the_recovered_gain_and_eq_10_
     assert [reading.stable for reading in readings] == [False] * 4 + [True] * 2
     assert [reading.name.startswith("printed k") for reading in readings] == [True] * 4 + [False] * 2
     for reading in readings:
-        found = np.linalg.eigvals(PHI @ (A + np.outer(B, reading.K)) @ np.linalg.inv(PHI))
-        assert np.poly(found) == pytest.approx(np.poly(reading.poles), rel=1e-6)
-        assert reading.stable == (found.real.max() < 0.0)
+        poles = np.linalg.eigvals(PHI @ (A + np.outer(B, reading.K)) @ np.linalg.inv(PHI))
+        assert np.poly(poles) == pytest.approx(np.poly(reading.poles), rel=1e-6)
+        assert reading.stable == (poles.real.max() < 0.0)
 
 
 def test_the_readings_are_what_their_names_say():
@@ -103,8 +103,7 @@ def test_the_readings_are_what_their_names_say():
     }
     assert list(readings) == list(expected)
     for name, gain in expected.items():
-        found = readings[name].K
-        assert found == pytest.approx(gain, abs=1e-3), name
+        np.testing.assert_allclose(readings[name].K, gain, rtol=0, atol=1e-3, err_msg=name)
 
 
 @pytest.mark.parametrize("index", range(6))

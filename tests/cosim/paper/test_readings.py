@@ -39,11 +39,11 @@ def closed_forms(before, after):
 
 def test_constant_angles_give_closed_forms(made_result):
     heights = {"LC": (3.0, 0.5), "IHC": (2.5, 0.25), "SMC1": (3.0, 0.0), "SMC2": (1.0, 1.0)}
-    found = readings({law: run(made_result, *q) for law, q in heights.items()})
+    listed = readings({law: run(made_result, *q) for law, q in heights.items()})
     expected = {law: closed_forms(*q) for law, q in heights.items()}
-    assert {(reading.name, reading.unit) for reading in found} == expected["LC"].keys()
-    assert len(found) == len(expected["LC"])
-    for reading in found:
+    assert {(reading.name, reading.unit) for reading in listed} == expected["LC"].keys()
+    assert len(listed) == len(expected["LC"])
+    for reading in listed:
         for law, value in reading.values.items():
             assert value == pytest.approx(expected[law][reading.name, reading.unit], rel=1e-9), (reading.name, law)
 
@@ -58,10 +58,10 @@ def test_both_angles_count_and_hanging_down_is_pi(made_result):
 
 @pytest.mark.parametrize(("before", "after"), [(1.6, 0.2), (0.05, 0.01), (3.0, 2.0)])
 def test_the_reading_nearest_to_the_printed_lc_comes_first(made_result, before, after):
-    found = readings({"LC": run(made_result, before, after)})
-    for reading in found:
+    listed = readings({"LC": run(made_result, before, after)})
+    for reading in listed:
         assert reading.ratio == reading.values["LC"] / 11.23
-    distances = [abs(math.log(reading.ratio)) for reading in found]
+    distances = [abs(math.log(reading.ratio)) for reading in listed]
     assert distances == sorted(distances)
 
 

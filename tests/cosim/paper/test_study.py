@@ -60,8 +60,8 @@ def test_the_same_key_gives_the_same_scenario(study, fmus, tiny_size):
 
 
 def test_different_keys_give_different_scenarios(study):
-    found = {study.scenario(key).changed({"name": "any"}).model_dump_json() for key in all_keys(study)}
-    assert len(found) == len(all_keys(study))
+    scenarios = {study.scenario(key).changed({"name": "any"}).model_dump_json() for key in all_keys(study)}
+    assert len(scenarios) == len(all_keys(study))
 
 
 @pytest.mark.parametrize("size", ["tiny_size", QUICK, FULL], ids=["tiny", "quick", "full"])
@@ -285,27 +285,27 @@ TIME = np.arange(10_001) * 1e-3
 
 def test_numbers_of_constant_angles_have_closed_forms(made_result):
     result = made_result(TIME, 0.3, plant_delta=2 * math.pi - 0.4, controller_voltage=2.0)
-    found = numbers(result)
-    assert {name: found[name] for name in evaluate(result).as_dict()} == pytest.approx(
+    values = numbers(result)
+    assert {name: values[name] for name in evaluate(result).as_dict()} == pytest.approx(
         evaluate(result).as_dict(), nan_ok=True
     )
-    assert found["window_rms"] == pytest.approx(0.5)
-    assert (found["window_theta"], found["window_delta"]) == (0.0, pytest.approx(0.0, abs=1e-12))
-    assert found["arm_peak"] == 0.3
-    assert found["energy_after_capture"] == pytest.approx(40.0)
-    assert math.isnan(found["settling_wide"])
-    assert found["kept"] == 1.0
-    assert all(isinstance(value, float) for value in found.values())
+    assert values["window_rms"] == pytest.approx(0.5)
+    assert (values["window_theta"], values["window_delta"]) == (0.0, pytest.approx(0.0, abs=1e-12))
+    assert values["arm_peak"] == 0.3
+    assert values["energy_after_capture"] == pytest.approx(40.0)
+    assert math.isnan(values["settling_wide"])
+    assert values["kept"] == 1.0
+    assert all(isinstance(value, float) for value in values.values())
 
 
 def test_only_the_window_from_5_to_7_s_counts_its_ends_included(made_result):
     inside = (TIME >= 5.0) & (TIME <= 7.0)
     theta = np.where(inside, 0.01 * np.sin(math.pi * TIME), 3.0)
     delta = np.where(inside, math.pi + 0.02 * np.cos(math.pi * TIME), 1.0)  # hanging: wrapped to both sides
-    found = numbers(made_result(TIME, theta, plant_delta=delta - math.pi))
-    assert found["window_theta"] == pytest.approx(0.02, abs=1e-6)
-    assert found["window_delta"] == pytest.approx(0.04, abs=1e-6)
-    assert found["window_rms"] == pytest.approx(math.sqrt((0.01**2 + 0.02**2) / 2), rel=1e-2)
+    values = numbers(made_result(TIME, theta, plant_delta=delta - math.pi))
+    assert values["window_theta"] == pytest.approx(0.02, abs=1e-6)
+    assert values["window_delta"] == pytest.approx(0.04, abs=1e-6)
+    assert values["window_rms"] == pytest.approx(math.sqrt((0.01**2 + 0.02**2) / 2), rel=1e-2)
     assert numbers(made_result(TIME, np.where(inside, 0.0, 3.0)))["window_rms"] == 0.0
 
 
@@ -313,19 +313,19 @@ def test_peak_and_energy_begin_at_the_capture(made_result):
     """A row's voltage was held over the step that ended there, so that the first step after the capture counts."""
     on = TIME >= 4.0
     theta = np.where(on, -0.5 * np.exp(-(TIME - 4.0)), 2.0)
-    found = numbers(
+    values = numbers(
         made_result(TIME, theta, controller_mode=np.where(on, 3, 2), controller_voltage=np.where(on, 1.5, 9.0))
     )
-    assert found["capture_time"] == 4.0
-    assert found["arm_peak"] == 0.5
-    assert found["energy_after_capture"] == pytest.approx(1.5**2 * 6.001)
-    assert found["energy"] == pytest.approx(found["energy_after_capture"] + 81.0 * 3.999)
+    assert values["capture_time"] == 4.0
+    assert values["arm_peak"] == 0.5
+    assert values["energy_after_capture"] == pytest.approx(1.5**2 * 6.001)
+    assert values["energy"] == pytest.approx(values["energy_after_capture"] + 81.0 * 3.999)
 
 
 def test_settling_to_the_wider_tolerance(made_result):
-    found = numbers(made_result(TIME, np.exp(-TIME)))
-    assert found["settling_wide"] == pytest.approx(math.log(10.0), abs=1e-3)
-    assert found["settling_time"] == pytest.approx(math.log(50.0), abs=1e-3)
+    values = numbers(made_result(TIME, np.exp(-TIME)))
+    assert values["settling_wide"] == pytest.approx(math.log(10.0), abs=1e-3)
+    assert values["settling_time"] == pytest.approx(math.log(50.0), abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -345,21 +345,21 @@ def test_kept_is_one_takeover_that_lasts(made_result, mode, kept):
 
 
 def test_a_run_without_capture_has_no_peak_and_no_energy_after_it(made_result):
-    found = numbers(made_result(TIME, 2.0, controller_mode=2, controller_voltage=5.0))
-    assert (found["arm_peak"], found["energy_after_capture"], found["kept"]) == (0.0, 0.0, 0.0)
-    assert math.isnan(found["capture_time"])
+    values = numbers(made_result(TIME, 2.0, controller_mode=2, controller_voltage=5.0))
+    assert (values["arm_peak"], values["energy_after_capture"], values["kept"]) == (0.0, 0.0, 0.0)
+    assert math.isnan(values["capture_time"])
 
 
 @pytest.mark.parametrize(("step", "every"), [(1e-4, 10), (1e-3, 1), (2e-3, 1), (5e-4, 2)])
 def test_thinning_keeps_rows_of_a_millisecond(made_result, step, every):
     time = np.arange(101) * step
     result = made_result(time, np.sin(time), controller_mode=np.arange(101))
-    found = thinned(result)
-    assert found.time.tolist() == time[::every].tolist()
-    assert found.signals.keys() == result.signals.keys()
-    for name, signal in found.signals.items():
+    thin = thinned(result)
+    assert thin.time.tolist() == time[::every].tolist()
+    assert thin.signals.keys() == result.signals.keys()
+    for name, signal in thin.signals.items():
         assert signal.tolist() == result[name][::every].tolist()
-    assert (found.units, found.metadata) == (result.units, result.metadata)
+    assert (thin.units, thin.metadata) == (result.units, result.metadata)
 
 
 # Sizes
@@ -438,12 +438,12 @@ def test_numbers_come_from_the_run_and_then_from_the_journal(study, tmp_path):
 
 def test_pictures_are_the_runs_themselves_in_rows_of_a_millisecond(study, same):
     key = Key("reference", *REFERENCE, 0, "LC", 0)
-    (found,) = study.pictures([key]).values()
+    (pictured,) = study.pictures([key]).values()
     result = run_scenario(study.scenario(key), study.fmus, study.scenarios)
-    same(found, thinned(result))
-    assert len(found.time) == 10_001
-    assert set(found.signals) == set(SIGNALS)
-    assert found["controller.voltage"].max() <= 10.0
+    same(pictured, thinned(result))
+    assert len(pictured.time) == 10_001
+    assert set(pictured.signals) == set(SIGNALS)
+    assert pictured["controller.voltage"].max() <= 10.0
 
 
 def test_the_reference_run_takes_over_when_the_paper_says_and_needs_no_draw(study):

@@ -51,8 +51,8 @@ class Channels:
     def check(self) -> None:
         """Refuse channels that the board does not have."""
         known = ((self.analog, (0,), -121), (self.encoder, (0, 1), -124), (self.digital, (0, 1, 2), -127))
-        for chosen, exist, code in (*known, (self.other, (TACHOMETER,), -130)):
-            if not set(chosen) <= set(exist):
+        for channels, exist, code in (*known, (self.other, (TACHOMETER,), -130)):
+            if not set(channels) <= set(exist):
                 raise LibraryError(code)
 
 
@@ -262,8 +262,8 @@ class Board:
 
     def write(self, analog: dict[int, float], digital: dict[int, int], other: dict[int, float]) -> None:
         """Write all outputs at once."""
-        for chosen, exist, code in ((analog, (0,), -133), (digital, (0,), -139), (other, LED, -142)):
-            if not set(chosen) <= set(exist):
+        for channels, exist, code in ((analog, (0,), -133), (digital, (0,), -139), (other, LED, -142)):
+            if not set(channels) <= set(exist):
                 raise LibraryError(code)
         led = [other.get(channel, value) for channel, value in zip(LED, self.led, strict=True)]
         self.set_outputs(analog.get(0, self.ao0), int(digital.get(0, self.do0) != 0), led)

@@ -132,9 +132,9 @@ class HIL:
 
     def set_encoder_counts(self, channels: Any, num_channels: int, counts: Any) -> None:
         """Make the encoders show these counts where they are."""
-        chosen, count, values = _Memory(UINT32, channels), _integer(num_channels), _Memory(INT32, counts)
+        memory, count, values = _Memory(UINT32, channels), _integer(num_channels), _Memory(INT32, counts)
         with self._board("set_encoder_counts") as board:
-            pairs = dict(zip(chosen.get(count, -124), values.get(count, -316), strict=True))
+            pairs = dict(zip(memory.get(count, -124), values.get(count, -316), strict=True))
             Channels(encoder=list(pairs)).check()
             for channel, value in pairs.items():
                 board.set_encoder(channel, value)
@@ -197,10 +197,10 @@ class HIL:
 
     def _read(self, name: str, groups: Sequence[tuple[Any, Any, Any] | None]) -> None:
         filled = [group or (None, 0, None) for group in groups]
-        chosen = _chosen([(channels, count) for channels, count, _ in filled])
+        memories = _memories([(channels, count) for channels, count, _ in filled])
         buffers = [_Memory(kind, group[2]) for (kind, _), group in zip(READS, filled, strict=True)]
         with self._board(name, io=stand_in.current.expired_refuses_reads) as board:
-            channels = _channels(chosen)
+            channels = _channels(memories)
             board.pass_immediate_read()
             _deliver([board.read(channels)], buffers)
 
@@ -288,9 +288,9 @@ class HIL:
         return self._create("task_create_reader", samples_in_buffer, groups)
 
     def _create(self, name: str, samples_in_buffer: Any, groups: Sequence[tuple[Any, Any]]) -> TaskHandle:
-        room, chosen = _integer(samples_in_buffer), _chosen(groups)
+        room, memories = _integer(samples_in_buffer), _memories(groups)
         with self._board(name) as board:
-            return TaskHandle(board.create(room, _channels(chosen)))
+            return TaskHandle(board.create(room, _channels(memories)))
 
     def task_set_buffer_overflow_mode(self, task: TaskHandle | None, mode: int) -> None:
         """Choose what happens when the ring buffer is full."""
@@ -307,9 +307,9 @@ class HIL:
 
     def task_start(self, task: TaskHandle | None, clock: int, frequency: float, num_samples: int) -> None:
         """Start sampling; HIL.INFINITE samples until task_stop."""
-        chosen, hertz, samples = _integer(clock, "int32_t"), _number(frequency), _integer(num_samples)
+        number, hertz, samples = _integer(clock, "int32_t"), _number(frequency), _integer(num_samples)
         with self._task("task_start", task, io=True) as (board, real):
-            board.start(real, chosen, hertz, samples)
+            board.start(real, number, hertz, samples)
 
     def task_flush(self, task: TaskHandle | None) -> None:
         """Do nothing: flushing is for writers."""
@@ -387,8 +387,8 @@ class HIL:
         """Set what DO0 expires to: DigitalState values as int32."""
         arguments = (_Memory(UINT32, channels), _integer(num_channels), _Memory(INT32, states))
         with self._watchdog("watchdog_set_digital_expiration_state", -592) as board:
-            chosen = _states(arguments, (0,), -139, -166)
-            for state in chosen.values():
+            expired = _states(arguments, (0,), -139, -166)
+            for state in expired.values():
                 if not 0 <= state <= NO_CHANGE:
                     raise LibraryError(-600)
                 if state == TRISTATE:
@@ -396,17 +396,17 @@ class HIL:
                 if stand_in.current.expire_to_zero_only and state == HIGH:
                     raise LibraryError(-1051)
                 board.watchdog.digital = None if state == NO_CHANGE else state
-            board.note("watchdog", "digital", chosen)
+            board.note("watchdog", "digital", expired)
 
     def watchdog_set_other_expiration_state(self, channels: Any, num_channels: int, states: Any) -> None:
         """Set what the LED expires to."""
         arguments = (_Memory(UINT32, channels), _integer(num_channels), _Memory(DOUBLE, states))
         with self._watchdog("watchdog_set_other_expiration_state", -594) as board:
-            chosen = _states(arguments, LED, -142, -167)
-            if stand_in.current.expire_to_zero_only and any(chosen.values()):
+            expired = _states(arguments, LED, -142, -167)
+            if stand_in.current.expire_to_zero_only and any(expired.values()):
                 raise LibraryError(-1053)
-            board.watchdog.other.update(chosen)
-            board.note("watchdog", "other", chosen)
+            board.watchdog.other.update(expired)
+            board.note("watchdog", "other", expired)
 
     def watchdog_start(self, timeout: float) -> None:
         """Start the timer [s]."""
@@ -508,13 +508,13 @@ def _open(card_type: str, identifier: str) -> Board:
     return board
 
 
-def _chosen(groups: Sequence[tuple[Any, Any]]) -> list[tuple[_Memory, int]]:
+def _memories(groups: Sequence[tuple[Any, Any]]) -> list[tuple[_Memory, int]]:
     return [(_Memory(UINT32, channels), _integer(count)) for channels, count in groups]
 
 
-def _channels(chosen: Sequence[tuple[_Memory, int]]) -> Channels:
+def _channels(memories: Sequence[tuple[_Memory, int]]) -> Channels:
     codes = (-121, -124, -127, -130)
-    channels = Channels(*(memory.get(count, code) for (memory, count), code in zip(chosen, codes, strict=True)))
+    channels = Channels(*(memory.get(count, code) for (memory, count), code in zip(memories, codes, strict=True)))
     channels.check()
     return channels
 

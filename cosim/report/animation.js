@@ -136,26 +136,14 @@
   let colours = {};
 
   function readColours() {
-    const style = getComputedStyle(root);
-    const read = (name) => style.getPropertyValue(`--${name}`).trim();
-    colours = { font: style.fontFamily };
+    const read = (name) => Colours.variable(name, root);
+    colours = { font: getComputedStyle(root).fontFamily };
     for (const name of ["ink", "soft", "line", "ground", "shadow", "box-top", "box-front", "box-side", "box-edge", "metal",
       "metal-edge", "shine", "mode-1", "mode-2", "mode-3", "mode-4"]) colours[name] = read(name);
-    const lift = Number(read("lift"));
     for (const view of views) {
-      view.colour = lighten(view.run.colour, lift);
+      view.colour = Colours.shown(view.run.colour);
       view.figure.style.setProperty("--colour", view.colour);
     }
-  }
-
-  function lighten(colour, part) { // towards white
-    const context = chart.getContext("2d");
-    context.fillStyle = "#777777"; // what stays if the colour is not one
-    context.fillStyle = colour;
-    const hex = context.fillStyle; // a canvas gives an opaque colour back as #rrggbb
-    if (!/^#[0-9a-f]{6}$/.test(hex)) return hex;
-    const mixed = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16)).map((v) => Math.round(v + part * (255 - v)));
-    return `rgb(${mixed.join(", ")})`;
   }
 
   // --- projection ---------------------------------------------------------------------------------------------------

@@ -1,0 +1,1 @@
+"""Pages: each one self-contained file of HTML, with plots to zoom into; nothing of them comes from a network."""
