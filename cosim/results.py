@@ -70,6 +70,8 @@ class Result(Recording):
     ('rad', 0.1)
     >>> result.to_dataframe().shape, len(result.plot("plant.angle").axes)
     ((3001, 11), 1)
+    >>> result.report("tilted.html").name
+    'tilted.html'
     >>> result.save("tilted.csv")
     >>> bool((cosim.Result.load("tilted.csv").time == result.time).all())
     True

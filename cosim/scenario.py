@@ -19,6 +19,7 @@ from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files, ssp
+from .animation import BodySection, check_bodies
 from .errors import UserError
 from .evaluation import EvaluateSection
 from .inputs import DisturbanceSection, SignalSection
@@ -141,7 +142,7 @@ class Scenario(_Section):
         What happens, in words: the title of pictures.
     wires
         The connections; None: by equal names of plant and controller.
-    run, plant, controller, components, disturbance, signals, evaluate, record
+    run, plant, controller, components, disturbance, signals, animation, evaluate, record
         The sections of the file, see the reference of scenarios.
 
     Examples
@@ -164,8 +165,15 @@ class Scenario(_Section):
     components: dict[str, ComponentSection] = {}
     disturbance: DisturbanceSection = DisturbanceSection()  # type: ignore[call-arg]
     signals: tuple[SignalSection, ...] = ()
+    animation: tuple[BodySection, ...] = ()
     evaluate: EvaluateSection = EvaluateSection()  # type: ignore[call-arg]
     record: RecordSection = RecordSection()  # type: ignore[call-arg]
+
+    @field_validator("animation")
+    @classmethod
+    def _bodies(cls, value: tuple[BodySection, ...]) -> tuple[BodySection, ...]:
+        check_bodies(value)
+        return value
 
     @field_validator("components")
     @classmethod

@@ -12,6 +12,7 @@ from fmu_export.files import FilePath
 from ihc_fmu.sampled_unit import check_step
 
 from . import certified, pendulum, wiring
+from .animation import check_signals
 from .draws import OFFSETS, offsets, random_measurement
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
@@ -118,6 +119,7 @@ class _Plan:
         wires = self.wires()
         started = {name: self._start(name) for name in self.paths}
         signals = self.signals()
+        check_signals(self.scenario.animation, self._signals_recorded(signals))
         if CONTROLLER in self.paths and wires not in WIRES.values():
             self._check_fed(wires, signals, started[CONTROLLER])
         names = self._sequence(wires)
@@ -127,6 +129,13 @@ class _Plan:
         if not self.scenario.controller.other_model:
             _check_model(system)
         return system
+
+    def _signals_recorded(self, signals: Sequence[Signal]) -> Sequence[str]:
+        """Return the names of all signals that the run records."""
+        if self.scenario.record.outputs is not None:
+            return self.scenario.record.outputs
+        given = [f"{name}.{output}" for name, known in self.variables.items() for output in wiring.outputs(known)]
+        return [*given, *(signal.target for signal in signals if signal.recorded)]
 
     def wires(self) -> tuple[Wire, ...]:
         if self.scenario.wires is not None:

@@ -20,6 +20,7 @@ import typer.main
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from cosim.animation import BodySection
 from cosim.cli import app
 from cosim.draws import MeanEstimate, change_text, estimate_text
 from cosim.hil.faults import KINDS
@@ -130,6 +131,7 @@ def scenario_entries() -> str:
 MANY: dict[str, dict[str, type[BaseModel]]] = {
     "wires": {"wires.N": WireSection},
     "components": {"components.NAME": ComponentSection},
+    "animation": {"animation.N": BodySection},
     "signals": {f"signals.N ({kind})": model for kind, model in KINDS_OF_SIGNALS.items()},
 }
 """Entries of which a scenario may have several, and how they are named."""

@@ -54,8 +54,10 @@ def executed(path: Path, folder: Path) -> dict[str, Any]:
         for output in cell.get("outputs", ()):
             if "text" in output:
                 output.text = COLOUR_CODES.sub("", output.text)
-            if "image/png" in (data := output.get("data", {})):
-                data.pop("text/plain", None)
+            data = output.get("data", {})
+            if len(data) > 1:
+                data.pop("text/plain", None)  # of a picture or a table: what nobody reads
+            if "image/png" in data:
                 data["image/png"] = _smaller(data["image/png"])
     return json.loads(nbformat.writes(notebook))
 

@@ -51,12 +51,12 @@ def pytest_sessionfinish(session):
 
 def using(folder: Path) -> list[str]:
     """Return the command lines of the processes whose temporary folder is this one, where /proc tells."""
-    found = []
+    commands = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             environment, command = ((process / name).read_bytes() for name in ("environ", "cmdline"))
         except OSError:
             continue  # it has ended, or is another's
         if f"TMPDIR={folder}\0".encode() in environment and int(process.name) != os.getpid():
-            found.append(command.replace(b"\0", b" ").decode())
-    return found
+            commands.append(command.replace(b"\0", b" ").decode())
+    return commands

@@ -43,7 +43,7 @@ def check_bytes() -> None:
     print("made again, the same bytes", flush=True)
 
 
-def chosen(platform: str, version: str) -> str:
+def installable(platform: str, version: str) -> str:
     """Return what uv says of installing from `dist/` on a platform with a version of Python, doing nothing."""
     with tempfile.TemporaryDirectory() as folder:
         command = ["pip", "install", "--dry-run", "--no-config", "--no-index", "--no-deps", "--only-binary", ":all:"]
@@ -57,9 +57,9 @@ def check_choice() -> None:
     """Raise SystemExit unless an installer finds each platform's wheel, and none where there is none."""
     for platform, tag in PLATFORMS.items():
         for version in ("3.11", "3.14"):
-            if f"{tag}.whl" not in chosen(platform, version):
+            if f"{tag}.whl" not in installable(platform, version):
                 raise SystemExit(f"uv does not find the wheel for {platform} and Python {version}")
-    wrong = [platform for platform in WITHOUT if chosen(platform, "3.14")]
+    wrong = [platform for platform in WITHOUT if installable(platform, "3.14")]
     if wrong:
         raise SystemExit(f"uv finds a wheel for {', '.join(wrong)}, which has none")
     print("an installer finds the wheels of all platforms", flush=True)
@@ -83,11 +83,11 @@ def use(environment: Path, folder: Path, lines: Sequence[str]) -> None:
     compiler = (
         "import importlib.util as u, shutil; print(u.find_spec('ziglang'), *map(shutil.which, ('cc', 'gcc', 'clang')))"
     )
-    found = subprocess.run(
+    compilers = subprocess.run(
         [python, "-c", compiler], env=bare, capture_output=True, text=True, check=True
     ).stdout.split()
-    if set(found) != {"None"}:
-        raise SystemExit(f"the environment has a compiler: {found}")
+    if set(compilers) != {"None"}:
+        raise SystemExit(f"the environment has a compiler: {compilers}")
     smoke([*without_network(), commands / "qube-ihc"], folder, lines, bare)
 
 

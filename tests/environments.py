@@ -47,8 +47,8 @@ PIP_TO_UV = {"index-url": "UV_DEFAULT_INDEX", "cert": "SSL_CERT_FILE"}
 def index(environment: Mapping[str, str], configuration: str) -> dict[str, str]:
     """Return the environment in which uv uses pip's index, which it does not read by itself, from `pip config list`."""
     entries = (line.partition("=") for line in configuration.splitlines())
-    found = {key.rpartition(".")[2]: value.strip("'\"") for key, _, value in entries}
-    return {name: found[key] for key, name in PIP_TO_UV.items() if key in found} | dict(environment)
+    settings = {key.rpartition(".")[2]: value.strip("'\"") for key, _, value in entries}
+    return {name: settings[key] for key, name in PIP_TO_UV.items() if key in settings} | dict(environment)
 
 
 def interpreter(version: str) -> str | None:

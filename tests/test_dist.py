@@ -75,15 +75,15 @@ def test_times_are_those_of_source_date_epoch(made, tmp_path, monkeypatch):
 def test_wheel_holds_the_binaries_of_its_platform_only(made):
     _, wheel = made
     assert wheel.name == f"qube_ihc-{PROJECT['project']['version']}-py3-none-{TAGS[HOST.name]}.whl"
-    found = {name: text for name, text in contents(wheel).items() if "/binaries/" in name}
-    assert {Path(name).parent.name for name in found} == {HOST.name}
+    in_wheel = {name: text for name, text in contents(wheel).items() if "/binaries/" in name}
+    assert {Path(name).parent.name for name in in_wheel} == {HOST.name}
     expected = {
         f"{place.removeprefix('src/')}/{HOST.name}/{file.name}": file.read_bytes()
         for place, binaries in COMPILED.items()
         for file in (binaries / HOST.name).iterdir()
     }
-    assert found == expected
-    assert sum(name.endswith(HOST.suffix) for name in found) == 5
+    assert in_wheel == expected
+    assert sum(name.endswith(HOST.suffix) for name in in_wheel) == 5
 
 
 def test_sdist_holds_what_tests_and_documentation_need_and_nothing_compiled(made):

@@ -1,10 +1,11 @@
-"""What is public is documented: every argument, what is returned, and what its examples print."""
+"""What is public is documented: every argument, what is returned, and an example that prints what it says."""
 
 import doctest
 import importlib
 import inspect
 
 import pytest
+from numpydoc.docscrape import get_doc_object
 from numpydoc.validate import validate
 
 import cosim
@@ -21,37 +22,28 @@ WANTED = {
 }
 
 
-def public():
-    """The public names, and the methods of public classes that are this project's."""
-    for package in (ihc_fmu, cosim):
-        for name in package.__all__:
-            thing = getattr(package, name)
-            if name.startswith("__"):
-                continue
-            yield f"{package.__name__}.{name}"
-            if inspect.isclass(thing):
-                for method, member in inspect.getmembers(thing):
-                    module = getattr(member, "__module__", "") or ""
-                    if not method.startswith("_") and callable(member) and module.split(".")[0] in ("ihc_fmu", "cosim"):
-                        yield f"{package.__name__}.{name}.{method}"
+def methods(thing):
+    """The public methods of a public class that are this project's, by name."""
+    if inspect.isclass(thing):
+        for name, member in inspect.getmembers(thing):
+            module = getattr(member, "__module__", "") or ""
+            if not name.startswith("_") and callable(member) and module.split(".")[0] in ("ihc_fmu", "cosim"):
+                yield name, member
 
 
-@pytest.mark.parametrize("name", public())
-def test_it_is_documented(name):
-    assert [text for code, text in validate(name)["errors"] if code in WANTED] == []
-
-
-@pytest.mark.parametrize("name", ["ihc_fmu", "ihc_fmu.controller", "cosim"])
-def test_examples_print_what_they_say(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    found = doctest.testmod(importlib.import_module(name))
-    assert found.failed == 0
-    assert found.attempted > 0
+PUBLIC = {
+    f"{package.__name__}.{name}": getattr(package, name)
+    for package in (ihc_fmu, cosim)
+    for name in package.__all__
+    if not name.startswith("__")
+}
+DOCUMENTED = [*PUBLIC, *(f"{name}.{method}" for name, thing in PUBLIC.items() for method, _ in methods(thing))]
+HOMES = sorted({"cosim", "ihc_fmu", *(thing.__module__ for thing in PUBLIC.values())})
 
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """The folder that the examples of cosim run in, with an arm's FMUs."""
+    """The folder that examples run in, with an arm's FMUs."""
     folder = tmp_path_factory.mktemp("examples")
     A, B, K = [[0, 1], [4, 0]], [[0], [1]], [[-8, -4]]
     arm = ihc_fmu.System(A=A, B=B, K=K, states=("angle [rad]", "rate [rad/s]"), name="arm")
@@ -59,9 +51,25 @@ def exported(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", [name for name in cosim.__all__ if name != "UserError"])
-def test_a_public_name_of_cosim_has_an_example_that_runs(name, exported, monkeypatch):
+def examples(thing):
+    return "\n".join(get_doc_object(thing)["Examples"])
+
+
+@pytest.mark.parametrize("name", DOCUMENTED)
+def test_it_is_documented(name):
+    assert [text for code, text in validate(name)["errors"] if code in WANTED] == []
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_it_has_an_example_and_so_have_its_methods(name):
+    shown = examples(PUBLIC[name])
+    assert ">>>" in shown
+    assert [method for method, member in methods(PUBLIC[name]) if f".{method}(" not in shown + examples(member)] == []
+
+
+@pytest.mark.parametrize("name", HOMES)
+def test_examples_print_what_they_say(name, exported, monkeypatch):
     monkeypatch.chdir(exported)
-    (example,) = doctest.DocTestFinder(recurse=False).find(getattr(cosim, name), name, module=False, globs={})
-    assert example.examples
-    assert doctest.DocTestRunner().run(example).failed == 0
+    results = doctest.testmod(importlib.import_module(name))
+    assert results.failed == 0
+    assert results.attempted > 0

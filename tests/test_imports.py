@@ -12,12 +12,12 @@ PACKAGES = [*(ROOT / "src").iterdir(), ROOT / "cosim"]
 
 def modules():
     """The files of the project's modules by their names."""
-    found = {}
+    files = {}
     for package in PACKAGES:
         for path in package.rglob("*.py"):
             parts = path.relative_to(package.parent).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+            files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return files
 
 
 def imported(name, path, known):
@@ -39,11 +39,11 @@ def graph():
 
 
 def test_no_modules_import_each_other():
-    found = graph()
-    assert found["cosim.cli.run"] >= {"cosim.cli.display", "cosim.scenario"}
+    imports = graph()
+    assert imports["cosim.cli.run"] >= {"cosim.cli.display", "cosim.scenario"}
     # a package's own module re-exports what is below it
     TopologicalSorter(
-        {name: {m for m in needs if not name.startswith(m + ".")} for name, needs in found.items()}
+        {name: {m for m in needs if not name.startswith(m + ".")} for name, needs in imports.items()}
     ).prepare()
 
 

@@ -10,10 +10,8 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from filing.files import staging, write_file
 from ihc_fmu.largest_rate import largest_alpha
@@ -24,6 +22,7 @@ from plant_fmu.parameters import parameter_set
 from ..campaign import Job, Journal, run_all
 from ..errors import UserError
 from ..fmu_files import describe
+from ..report.motion import pendulum_in_motion
 from ..report.page import ANIMATION, data, render
 from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
@@ -35,9 +34,6 @@ from .study import COMPARED, GAINS, PURPOSE, REFERENCE, Key, Study, numbers, sce
 from .verdicts import Claim
 
 HERE = Path(__file__).parent
-
-FRAME = 0.02
-"""Step of the animation's samples [s]."""
 
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much is done, and how much there is."""
@@ -288,24 +284,5 @@ def _page(
         versions=versions(),
         design=json.dumps({"P": np.round(about.P, 6).tolist(), "k": np.round(about.K_h[0], 6).tolist()}),
         fmus=shlex.quote(os.path.relpath(study.fmus, study.folder)),
-        animation=animation_data({law: pictures[0, law] for law in ("LC", "IHC")}),
+        animation=data(pendulum_in_motion({law: pictures[0, law] for law in ("LC", "IHC")})),
     )
-
-
-def animation_data(results: Mapping[str, Result]) -> Markup:
-    """Return the samples of the animation as JSON that may stand inside a script element."""
-    runs: list[dict[str, Any]] = []
-    for law, result in results.items():
-        every = round(FRAME / (result.time[1] - result.time[0]))
-        rows = slice(None, None, every)
-        runs.append(
-            {
-                "name": law,
-                "colour": figures.PALETTE[law],
-                "theta": np.round(result["plant.theta"][rows], 5).tolist(),
-                "delta": np.round(result["plant.delta"][rows], 5).tolist(),
-                "voltage": np.round(result["controller.voltage"][rows], 3).tolist(),
-                "mode": result["controller.mode"][rows].tolist(),
-            }
-        )
-    return data({"step": FRAME, "voltage_limit": 10, "runs": runs})

@@ -1,4 +1,6 @@
-// Animates runs of the rotary pendulum in #animation from the JSON in #animation-data:
+// Animates runs in #animation from the JSON in #animation-data. Bodies in a plane:
+// {step [s], frames, bodies: [{shape, size [m]}], runs: [{name, colour, bodies: [[x [m], z [m], direction [rad]], ...]}]}, a
+// list of numbers each, or one where nothing moves; the direction is anticlockwise from that of x. The rotary pendulum:
 // {step [s], runs: [{name, colour, theta [rad], delta [rad], voltage [V], mode}], voltage_limit [V]}.
 // theta turns the arm about the vertical axis, anticlockwise from above; delta is 0 upright, pi hanging. With e the
 // direction in which a positive theta moves the arm's tip, the pendulum points along up cos(delta) - e sin(delta).
@@ -30,15 +32,19 @@
     return;
   }
 
-  const { step, runs, voltage_limit: voltageLimit } = data;
-  const duration = step * (runs[0].theta.length - 1);
-  for (const run of runs) run.q = run.theta.map((theta, k) => Math.hypot(theta, wrap(run.delta[k])));
+  const { step, runs, bodies, voltage_limit: voltageLimit } = data;
+  const frames = bodies ? data.frames : runs[0].theta.length;
+  const duration = step * (frames - 1);
+  if (!bodies) {
+    for (const run of runs) run.q = run.theta.map((theta, k) => Math.hypot(theta, wrap(run.delta[k])));
+  }
 
   // --- data ---------------------------------------------------------------------------------------------------------
 
   function refuse(data) {
     const positive = (value) => Number.isFinite(value) && value > 0;
     if (!data || !Array.isArray(data.runs) || data.runs.length === 0) return "the page holds no runs";
+    if (data.bodies) return positive(data.step) && data.frames > 1 ? "" : "there are no two samples";
     if (!positive(data.step) || !positive(data.voltage_limit)) return "the step or the voltage limit is not positive";
     const length = data.runs[0]?.theta?.length;
     for (const run of data.runs) {
@@ -57,9 +63,10 @@
   }
 
   function sample(run, t) {
-    const k = Math.min(Math.floor(t / step + 1e-9), run.theta.length - 2);
+    const k = Math.min(Math.floor(t / step + 1e-9), frames - 2);
     const part = t / step - k;
-    const between = (values) => values[k] + part * (values[k + 1] - values[k]);
+    const between = (values) => (Array.isArray(values) ? values[k] + part * (values[k + 1] - values[k]) : values);
+    if (bodies) return run.bodies.map((place) => place.map(between));
     const mode = run.mode[part > 1 - 1e-9 ? k + 1 : k];
     return { theta: between(run.theta), delta: between(run.delta), voltage: between(run.voltage), mode };
   }
@@ -90,10 +97,11 @@
     const figure = add(parent, "figure", "run");
     const head = add(figure, "figcaption");
     add(head, "span", "name", name);
-    const mode = add(head, "span", "mode");
     const canvas = add(figure, "canvas", "view");
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Rotary pendulum under ${name}`);
+    canvas.setAttribute("aria-label", bodies ? `${name} in motion` : `Rotary pendulum under ${name}`);
+    if (bodies) return { run, figure, canvas };
+    const mode = add(head, "span", "mode");
     const facts = add(figure, "dl", "facts");
     const theta = addFact(facts, "arm θ");
     const delta = addFact(facts, "pendulum δ");
@@ -109,7 +117,7 @@
   root.textContent = "";
   root.tabIndex = 0;
   root.setAttribute("role", "group");
-  root.setAttribute("aria-label", "Animation of the rotary pendulum; Space plays and pauses");
+  root.setAttribute("aria-label", "Animation; Space plays and pauses");
 
   const row = add(root, "div", "runs");
   const views = runs.map((run) => addRun(row, run));
@@ -126,10 +134,11 @@
   for (const speed of SPEEDS) add(speedSelect, "option", "", `${speed}×`).value = speed;
   speedSelect.value = 1;
 
-  const chart = add(root, "canvas", "chart");
+  const chart = add(root, "canvas", "chart"); // of the pendulum
+  chart.hidden = Boolean(bodies);
   chart.setAttribute("role", "img");
   chart.setAttribute("aria-label", "Size of the angles |q| over time, logarithmic; click to go to a time");
-  const hint = add(root, "p", "hint", "Press Play or Space; click or drag in the chart to go to a moment.");
+  const hint = add(root, "p", "hint", `Press Play or Space${bodies ? "" : "; click or drag in the chart to go to a moment"}.`);
 
   // --- colours ------------------------------------------------------------------------------------------------------
 
@@ -189,6 +198,84 @@
     const [rights, ups] = [points.map((p) => p[0]), points.map((p) => p[1])];
     return { left: Math.min(...rights), right: Math.max(...rights), low: Math.min(...ups), high: Math.max(...ups) };
   })();
+
+  // --- bodies in a plane --------------------------------------------------------------------------------------------
+
+  const CART = 0.5; // height of a cart over its width
+  const plane = bodies ? reached() : null;
+
+  function ends([x, z, direction], { shape, size }) { // where a body begins and ends
+    const [dx, dz] = [Math.cos(direction), Math.sin(direction)];
+    if (shape === "rod") return [[x, z], [x + size * dx, z + size * dz]];
+    if (shape === "beam") return [-0.5, 0.5].map((part) => [x + part * size * dx, z + part * size * dz]);
+    return [-1, 1].map((part) => [x + part * size, z + part * size]);
+  }
+
+  function reached() { // by all bodies of all runs
+    const points = [];
+    for (const run of runs) {
+      for (let k = 0; k < frames; k++) {
+        sample(run, k * step).forEach((place, i) => points.push(...ends(place, bodies[i])));
+      }
+    }
+    const extent = (values) => values.reduce(([low, high], v) => [Math.min(low, v), Math.max(high, v)], [Infinity, -Infinity]);
+    const [[left, right], [low, high]] = [0, 1].map((axis) => extent(points.map((point) => point[axis])));
+    return { left, right, low, high, size: Math.max(right - left, high - low) };
+  }
+
+  function drawBodies(view, t) {
+    const { context, width, height } = prepare(view.canvas);
+    if (width === 0 || height === 0) return;
+    const margin = 18;
+    const scale = Math.min(
+      (width - 2 * margin) / (plane.right - plane.left), (height - 2 * margin) / (plane.high - plane.low));
+    const at = ([x, z]) => [width / 2 + scale * (x - (plane.left + plane.right) / 2),
+      height / 2 - scale * (z - (plane.low + plane.high) / 2)];
+    const line = (points, stroke, thickness) => {
+      context.beginPath();
+      for (const point of points) context.lineTo(...at(point));
+      context.strokeStyle = stroke;
+      context.lineWidth = thickness;
+      context.stroke();
+    };
+    const disc = (centre, radius, fill, stroke) => {
+      context.beginPath();
+      context.arc(...at(centre), radius, 0, 2 * Math.PI);
+      context.fillStyle = fill;
+      context.fill();
+      context.strokeStyle = stroke;
+      context.lineWidth = 1.5;
+      context.stroke();
+    };
+    const thick = Math.min(Math.max(0.02 * scale * plane.size, 4), 9);
+    const draw = {
+      cart: ([x, z], { size }) => {
+        line([[plane.left, z], [plane.right, z]], colours.soft, 1.5); // its rail
+        const [left, top] = at([x - size / 2, z + (CART * size) / 2]);
+        context.fillStyle = view.colour;
+        context.fillRect(left, top, scale * size, scale * CART * size);
+        disc([x, z], 3, colours.metal, colours["metal-edge"]);
+      },
+      rod: (place, body) => {
+        const [from, to] = ends(place, body);
+        line([from, to], colours["metal-edge"], thick + 2);
+        line([from, to], view.colour, thick);
+        disc(from, 0.45 * thick, colours.metal, colours["metal-edge"]);
+        disc(to, 0.6 * thick, view.colour, colours["metal-edge"]);
+      },
+      beam: (place, body) => {
+        const both = ends(place, body);
+        line(both, colours["metal-edge"], thick + 2);
+        line(both, view.colour, thick);
+        for (const end of both) disc(end, 0.7 * thick, colours.metal, colours["metal-edge"]);
+      },
+      wheel: ([x, z, direction], { size }) => {
+        disc([x, z], scale * size, colours.ground, view.colour);
+        line([[x, z], [x + size * Math.cos(direction), z + size * Math.sin(direction)]], view.colour, thick);
+      },
+    };
+    sample(view.run, t).forEach((place, i) => draw[bodies[i].shape](place, bodies[i]));
+  }
 
   // --- one run ------------------------------------------------------------------------------------------------------
 
@@ -410,10 +497,14 @@
 
   function draw() {
     for (const view of views) {
+      if (bodies) {
+        drawBodies(view, time);
+        continue;
+      }
       drawRun(view, time);
       writeRun(view, time);
     }
-    drawChart(time);
+    if (!bodies) drawChart(time);
     readout.textContent = `t = ${time.toFixed(2)} s of ${duration.toFixed(2)} s`;
     slider.value = time;
     slider.setAttribute("aria-valuetext", `${time.toFixed(2)} seconds`);

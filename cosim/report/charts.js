@@ -40,9 +40,8 @@
   const first = Math.min(...tables.map(({ time }) => time[0]));
   const last = Math.max(...tables.map(({ time }) => time[time.length - 1]));
 
-  function number(value) { // four digits, with a true minus sign
-    if (value === null || value === undefined) return "–";
-    return String(Number(value.toPrecision(4))).replace("-", "\u2212");
+  function number(value, digits = 4) { // with a true minus sign
+    return String(Number(value.toPrecision(digits))).replace("-", "\u2212");
   }
 
   // --- plots --------------------------------------------------------------------------------------------------------
@@ -113,7 +112,8 @@
 
   function options(chart, width) {
     const lines = { stroke: soft, width: 1 };
-    const axis = { stroke: ink, grid: lines, ticks: lines, labelSize: 22, labelGap: 0 };
+    const numbers = (_u, splits) => splits.map((v) => number(v, 8));
+    const axis = { stroke: ink, grid: lines, ticks: lines, labelSize: 22, labelGap: 0, values: numbers };
     const powers = { // numbers and lines at powers of ten only
       grid: { ...lines, filter: (_u, splits) => splits.map((v) => (isPower(v) ? v : null)) },
       values: (_u, splits) => splits.map((v) => (v === null || !isPower(v) ? null : number(v))),

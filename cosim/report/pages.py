@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import BaseModel, field_validator
+
 from filing.files import write_file
 from fmu_export.files import FilePath
 
+from ..animation import BodySection, check_bodies, check_signals
 from ..errors import UserError
 from ..evaluation import evaluation_in
 from ..judged_signals import can_draw, can_evaluate, kept_upright, overflow
@@ -20,8 +23,10 @@ from ..provenance import provenance
 from ..recording import Recording
 from ..tables import metric_rows
 from ..tables import side_by_side as rows_of
+from ..typed import checked
 from .charts import Plots
-from .page import CHARTS, data, link, render
+from .motion import bodies_in_motion, is_rotary, pendulum_in_motion
+from .page import ANIMATION, CHARTS, data, link, render
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
@@ -166,10 +171,12 @@ def _write(
         plots.add_signals()
     downloads = {name: f"{path.stem}_{_plain(name)}_plotted.csv" for name in results}
     drawn, thin = plots.data(downloads)
+    motion = _motion(plots.runs)
     page = render(
         "run.html.j2",
-        CHARTS,
-        ("uplot/uPlot.min.css",),
+        CHARTS if motion is None else (*CHARTS, ANIMATION[1]),
+        ("uplot/uPlot.min.css",) if motion is None else ("uplot/uPlot.min.css", "animation.css"),
+        motion=None if motion is None else data(motion),
         title=title,
         findings=findings,
         notes=list(dict.fromkeys([*findings.notes, *said])),
@@ -189,6 +196,31 @@ def _write(
     )
     write_file(path, page)
     return path
+
+
+def _motion(runs: Mapping[str, Recording]) -> dict[str, Any] | None:
+    """Return what is shown in motion: the pendulum, or the bodies that the first run's scenario has; None where none is."""
+    if not runs or min(len(run.time) for run in runs.values()) < 2:
+        return None
+    first = next(iter(runs.values()))
+    if all(is_rotary(run) for run in runs.values()):
+        return pendulum_in_motion(runs)
+    scenario = first.metadata.get("scenario")
+    listed = scenario.get("animation") if isinstance(scenario, dict) else None
+    bodies = checked(_Bodies, {"animation": listed or ()}, "the result's metadata: scenario").animation
+    for run in runs.values():
+        check_signals(bodies, run.signals)
+    return bodies_in_motion(runs, bodies) if bodies else None
+
+
+class _Bodies(BaseModel):
+    animation: tuple[BodySection, ...] = ()
+
+    @field_validator("animation")
+    @classmethod
+    def _named(cls, value: tuple[BodySection, ...]) -> tuple[BodySection, ...]:
+        check_bodies(value)
+        return value
 
 
 def _plain(name: str) -> str:

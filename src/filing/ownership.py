@@ -42,9 +42,9 @@ def check_replaceable(*paths: Path, kind: str = "") -> None:
             continue
         if not is_ours(path):
             raise UserError(f"{path} was not written by {SOFTWARE} and stays; choose another name or move that file")
-        found = kind_of(path.read_bytes()) if kind and path.suffix.lower() == ".json" else ""
-        if found and found != kind:
-            raise UserError(f"{path} is a {found}, not a {kind}, and stays; choose another name or move that file")
+        actual = kind_of(path.read_bytes()) if kind and path.suffix.lower() == ".json" else ""
+        if actual and actual != kind:
+            raise UserError(f"{path} is a {actual}, not a {kind}, and stays; choose another name or move that file")
 
 
 def kind_of(content: str | bytes) -> str:
@@ -85,11 +85,11 @@ def _is_archive(path: Path) -> bool:
 
 
 def _says(text: str) -> Callable[[Path], bool]:
-    def found(path: Path) -> bool:
+    def says(path: Path) -> bool:
         with path.open("rb") as file:
             return text.encode() in file.read(_HEAD)
 
-    return found
+    return says
 
 
 _KINDS: dict[str, Callable[[Path], bool]] = {

@@ -12,7 +12,17 @@ _MOST_BITS = 256
 
 
 class UserError(ValueError):
-    """A file, name, number or combination that cannot work: one sentence with the thing, the rule and the value found."""
+    """A file, name, number or combination that cannot work: one sentence with the thing, the rule and the value found.
+
+    Examples
+    --------
+    >>> from ihc_fmu import System, UserError
+    >>> try:
+    ...     System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4])
+    ... except UserError as error:
+    ...     print(error)
+    K must have 1 row of 2 numbers to fit B and A, found shape (1, 1)
+    """
 
 
 class _Shown(reprlib.Repr):

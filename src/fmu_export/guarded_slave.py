@@ -277,10 +277,10 @@ class GuardedSlave(Fmi2Slave):
     def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
         """Return the state, or for bytes that are none a marker that `_set_fmu_state` refuses; the wrapper would crash."""
         try:
-            found = json.loads(state.decode("utf-8"))
+            data = json.loads(state.decode("utf-8"))
         except ValueError:
             return {}
-        return found if isinstance(found, dict) else {}
+        return data if isinstance(data, dict) else {}
 
     # Inside
 

@@ -114,8 +114,8 @@ def _shown_exchange(showing: Showing, compiled: ModelExchange) -> ModelExchange:
         if name not in names:
             raise ValueError(f"model exchange needs {name} of {showing.table.name} to be shown")
 
-    def shown(chosen: Iterable[str]) -> tuple[str, ...]:
-        return tuple(names[name] for name in chosen if name in names)
+    def shown(variables: Iterable[str]) -> tuple[str, ...]:
+        return tuple(names[name] for name in variables if name in names)
 
     def translated(dependencies: Mapping[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
         return {names[name]: shown(known) for name, known in dependencies.items() if name in names}
@@ -131,11 +131,11 @@ def _shown_exchange(showing: Showing, compiled: ModelExchange) -> ModelExchange:
 def _platforms(names: Iterable[str] | None) -> list[Platform]:
     if names is None:
         return [host_platform()]
-    chosen = list(dict.fromkeys(names))
-    for name in chosen:
+    wanted = list(dict.fromkeys(names))
+    for name in wanted:
         if name not in PLATFORMS and name != ALL:
             raise UserError(f"a platform must be one of {', '.join(PLATFORMS)}, found {name!r}")
-    return list(PLATFORMS.values()) if ALL in chosen else [PLATFORMS[name] for name in chosen]
+    return list(PLATFORMS.values()) if ALL in wanted else [PLATFORMS[name] for name in wanted]
 
 
 def _binary(unit: NativeUnit, platform: Platform) -> bytes:

@@ -119,11 +119,11 @@ def _modules(root: str, packages: Collection[str]) -> dict[str, bytes]:
     """
     unit_package = root.split(".", maxsplit=1)[0]
     own = {unit_package, *packages, *SHARED}
-    found: dict[str, bytes] = {}
+    bundled_modules: dict[str, bytes] = {}
     queue = [root]
     while queue:
         name = queue.pop()
-        if name in found:
+        if name in bundled_modules:
             continue
         spec = find_spec(name)
         if spec is None or spec.origin is None:
@@ -143,8 +143,8 @@ def _modules(root: str, packages: Collection[str]) -> dict[str, bytes]:
         left = [imported for imported in _absolute_imports(bundled) if imported.split(".")[0] in own]
         if left:
             raise ImportError(f"{name} must import {left[0]} as `from {left[0]} import NAME` to be bundled")
-        found[name] = bundled.encode()
-    return found
+        bundled_modules[name] = bundled.encode()
+    return bundled_modules
 
 
 def _absolute_imports(source: str) -> set[str]:

@@ -108,12 +108,12 @@ def parse_json(text: str, source: object, *, finite: bool = True) -> Any:
         raise UserError(f"{source} must have finite numbers, found {name}")
 
     def table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
+        entries = dict(pairs)
+        if len(entries) < len(pairs):
             names = [name for name, _ in pairs]
             twice = next(name for name in names if names.count(name) > 1)
             raise UserError(f"{source} must have every key once, found {shown(twice)} twice")
-        return found
+        return entries
 
     try:
         data = json.loads(text, parse_int=number, parse_float=real, parse_constant=constant, object_pairs_hook=table)

@@ -184,8 +184,8 @@ class Interface:
         Their dependencies, names of this compiled interface, become those shown; what is not shown never changes, and
         nothing depends on it.
         """
-        chosen = tuple(variables)
-        names = {v.compiled: v.name for v in chosen}
+        kept = tuple(variables)
+        names = {v.compiled: v.name for v in kept}
 
         def translated(dependencies: Iterable[str]) -> tuple[str, ...]:
             return tuple(names[name] for name in dependencies if name in names)
@@ -198,7 +198,7 @@ class Interface:
                     dependencies=translated(v.dependencies),
                     initial_dependencies=translated(v.initial_dependencies),
                 )
-                for v in chosen
+                for v in kept
             ),
             **fields,
         )

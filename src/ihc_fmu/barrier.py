@@ -70,10 +70,10 @@ def inside(X: Affine, sides: Sequence[Affine], v: Array) -> Array | None:
     box = Affine(WIDE * np.eye(size) - X.constant, -X.slopes)
     lifted = [_lifted(side, np.eye(len(side.constant))) for side in sides] + [_lifted(box, np.zeros((size, size)))]
     below = Affine(np.array([[2.0 * abs(s) + 1.0]]), np.zeros((len(v), 1, 1)))
-    found = _follow(
+    reached = _follow(
         _lifted(below, -np.eye(1)), lifted, np.append(v, s + 0.5), FIRST, 1.0 / INSIDE, lambda w: w[-1] < -INSIDE
     )
-    return None if found is None or found[-1] > -INSIDE else found[:-1]
+    return None if reached is None or reached[-1] > -INSIDE else reached[:-1]
 
 
 def _lifted(side: Affine, slope: Array) -> Affine:

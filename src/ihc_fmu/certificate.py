@@ -32,7 +32,18 @@ FLATTEST = 1e-14
 
 
 class CertificateError(UserError):
-    """A design does not prove what it claims; the message names the inequality and its margin."""
+    """A design does not prove what it claims; the message names the inequality and its margin.
+
+    Examples
+    --------
+    >>> from ihc_fmu import CertificateError, Design, System
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> try:
+    ...     Design(cart, P=[[1, 0.5], [0.5, 0.3]], mu=1.0, alpha=2.0)
+    ... except CertificateError as error:
+    ...     print(error)
+    (A + B K)' P + P (A + B K) + alpha (G_d' P + P G_d) <= 0 fails: margin -7.73 (1/s relative to P), must be positive
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +67,16 @@ class Certificate:
     matched_disturbance
         Bound on the Euclidean norm of a disturbance added to the control [units of u] up to which ||x||_d provably still
         decreases everywhere (mu = 1; 0 for mu < 1).
+
+    Examples
+    --------
+    >>> from ihc_fmu import Design, System
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> certificate = Design(cart, P=[[1, 0.5], [0.5, 0.3]], mu=1.0, alpha=0.5).certificate
+    >>> round(certificate.hurwitz, 3), round(certificate.matched_disturbance, 3)
+    (2.0, 4.0)
+    >>> all(certificate.as_dict()[margin] > 0.0 for margin in ("decrease", "monotone", "positive"))
+    True
     """
 
     decrease: float
@@ -274,6 +295,14 @@ def norm_of(design: Candidate, x: ArrayLike) -> float:
     ------
     UserError
         For another length, and for entries that are not finite.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Design, System, norm_of
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> design = Design(cart, P=[[1, 0.5], [0.5, 0.3]], mu=1.0, alpha=0.5)
+    >>> norm_of(design, [1.0, 0.0]), round(norm_of(design, [0.01, 0.0]), 6)  # the position has the weight 2
+    (1.0, 0.1)
     """
     form = design.form
     Pz = (form.T_inverse.T @ design.P @ form.T_inverse).tolist()
@@ -283,11 +312,11 @@ def norm_of(design: Candidate, x: ArrayLike) -> float:
 
 def _state(design: Candidate, x: ArrayLike) -> Array:
     states = design.system.states
-    found = vector("x", x, states)
-    if not np.isfinite(found).all():
-        i = int(np.argmin(np.isfinite(found)))
-        raise UserError(f"x must be finite, found {found[i]} for {states[i].name}")
-    return found
+    state = vector("x", x, states)
+    if not np.isfinite(state).all():
+        i = int(np.argmin(np.isfinite(state)))
+        raise UserError(f"x must be finite, found {state[i]} for {states[i].name}")
+    return state
 
 
 def settling_time_bound(design: Candidate, x0: ArrayLike) -> float:
@@ -312,5 +341,13 @@ def settling_time_bound(design: Candidate, x0: ArrayLike) -> float:
     ------
     UserError
         As `norm_of`.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Design, System, settling_time_bound
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> design = Design(cart, P=[[1, 0.5], [0.5, 0.3]], mu=1.0, alpha=0.5)
+    >>> settling_time_bound(design, [1.0, 0.0])
+    2.0
     """
     return norm_of(design, x0) ** design.mu / (design.mu * design.alpha)

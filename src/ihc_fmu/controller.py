@@ -58,8 +58,8 @@ def regulator_of(design: Design) -> Regulator:
 
 
 def _kalman(design: Design) -> LinearFilter:
-    found = estimator(design)
-    return LinearFilter(F=found.F, G=found.G, C=np.asarray(design.system.C), M=found.M, decay=found.decay)
+    kalman = estimator(design)
+    return LinearFilter(F=kalman.F, G=kalman.G, C=np.asarray(design.system.C), M=kalman.M, decay=kalman.decay)
 
 
 class Controller:
@@ -80,6 +80,20 @@ class Controller:
     ------
     UserError
         For a name or a value that the FMU does not have or admit, and where there is no estimator.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Controller, Design, System
+    >>> names = {"states": ("position [m]", "velocity [m/s]"), "inputs": ("force [N]",), "set_points": ("position",)}
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], **names)
+    >>> controller = Controller(Design(cart, P=[[1, 0.5], [0.5, 0.3]], mu=1.0, alpha=0.5), force_upper=10.0)
+    >>> u = controller([-0.25, 0.0])
+    >>> u.round(2).tolist(), round(controller.norm, 6), controller.mode
+    ([3.97], 0.5, 'stabilizing')
+    >>> controller.set(position_setpoint=0.75)
+    >>> controller([-0.25, 0.0]).round(2).tolist()  # a deviation of 1 m: about the linear law
+    [3.98]
+    >>> controller.reset()
     """
 
     def __init__(self, design: Design, **start: Value | str) -> None:

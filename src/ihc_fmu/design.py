@@ -59,6 +59,21 @@ class Design(Candidate):
         For numbers that no design can have.
     CertificateError
         For what is not proven, with alpha and with the terms of Remark 3 that are not 0.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Design, System
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> design = Design(cart, P=[[1, 0.5], [0.5, 0.3]], mu=1.0, alpha=0.5)
+    >>> design.u_max.round(3).tolist(), design.extent.round(3).tolist()  # on the unit ball
+    ([9.798], [2.449, 4.472])
+    >>> design.scaled_to(u_max=2.0).u_max.round(6).tolist()
+    [2.0]
+    >>> dict(design.summary())["mu, alpha"]
+    '1, 0.5 1/s'
+    >>> design.save("cart.json")
+    >>> Design.load("cart.json").to_json() == design.to_json()
+    True
     """
 
     method: str = "given"
@@ -199,11 +214,17 @@ class Design(Candidate):
             For text that is not a design.
         CertificateError
             For one that proves nothing.
+
+        Examples
+        --------
+        >>> Design.from_json("{}")
+        Traceback (most recent call last):
+        fmu_export.errors.UserError: the format must be 'qube-ihc design 2', found None
         """
         data = parse_json(text, "a design")
         if not isinstance(data, dict) or data.get("format") not in (FORMAT, FORMAT_1):
-            found = data.get("format") if isinstance(data, dict) else type(data).__name__
-            raise UserError(f"the format must be {FORMAT!r}, found {shown(found)}")
+            given = data.get("format") if isinstance(data, dict) else type(data).__name__
+            raise UserError(f"the format must be {FORMAT!r}, found {shown(given)}")
         model = ("system",) if data["format"] == FORMAT else ("A", "b", "k_lin")
         missing = {*model, "P", "mu", "alpha"} - data.keys()
         unknown = data.keys() - {*model, "P", *_SCALARS} - {"format", "derived"}

@@ -62,6 +62,14 @@ def direct_design(system: System, options: Options | None = None) -> Design:
         For a pair that is not controllable, or options without u_max.
     InfeasibleError
         As `inverse_design`.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Options, System, direct_design
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], states=("position [m]", "velocity [m/s]"))
+    >>> design = direct_design(cart, Options(alpha=1.0, u_max=3.0))
+    >>> design.K.round(2).tolist(), design.u_max.round(3).tolist()
+    ([[-4.59, -3.0]], [3.0])
     """
     options = options or Options()
     bounds = options.bounds(system.m)

@@ -42,9 +42,9 @@ def estimator(design: Design) -> KalmanDesign:
     try:
         *faster, slowest = _bandwidths(design)
         for omega in faster:
-            found = _filter(design, omega)
-            if jump(design, found) <= MOST_JUMP:
-                return found
+            kalman = _filter(design, omega)
+            if jump(design, kalman) <= MOST_JUMP:
+                return kalman
         return _filter(design, slowest)
     except UserError as error:
         raise UserError(f"{s.name} has no Kalman filter: {str(error).removeprefix(NONE)}{_way_out(design)}") from None
@@ -79,7 +79,7 @@ def _way_out(design: Design) -> str:
     return "; measure more, or leave out of the model what no output tells"
 
 
-def jump(design: Design, found: KalmanDesign) -> float:
+def jump(design: Design, kalman: KalmanDesign) -> float:
     """Return by how much a step of a sensor's resolution, or three deviations, moves a command, relative to its room.
 
     The room is half of what the limits leave; 0 without limits or where no sensor is described.
@@ -87,7 +87,7 @@ def jump(design: Design, found: KalmanDesign) -> float:
     s = design.system
     room = np.asarray(s.upper) - np.asarray(s.lower)
     size = np.maximum(np.asarray(s.resolutions), 3.0 * np.asarray(s.deviations))
-    moved = np.abs(design.K @ found.M[: s.n] - found.M[s.n : s.n + s.m]) * size
+    moved = np.abs(design.K @ kalman.M[: s.n] - kalman.M[s.n : s.n + s.m]) * size
     return float((moved.max(axis=1) / (0.5 * room)).max())
 
 
@@ -166,19 +166,19 @@ def _intensities(design: Design, density: Array, omega: float) -> Array:
 
 def remarks(design: Design) -> list[str]:
     """Return what is to be known of a design's sampling and sensors before it runs, a sentence each."""
-    s, found = design.system, []
+    s, sentences = design.system, []
     fast = _fastest(design) * s.sample_time
     if fast > MOST_PER_STEP:
-        found.append(
+        sentences.append(
             f"sample_time = {s.sample_time:g} s is long beside the fastest pole of A + B K, {_fastest(design):.4g} 1/s: the "
             "sampled loop may be far from what is proven, or unstable"
         )
     if not s.measures_state and s.observer is None:
         most = jump(design, estimator(design))
         if most > MOST_NOTABLE:
-            found.append(
+            sentences.append(
                 f"a count of a sensor, or three deviations, moves a command by {100 * most:.0f} % of its room within the "
                 "limits: the loop may never come to rest; a smaller `bandwidth` of the estimated disturbances, smaller "
                 "gains (`K`, or a larger R of `lqr`) or finer sensors (`resolutions`, `deviations`) lower that"
             )
-    return found
+    return sentences

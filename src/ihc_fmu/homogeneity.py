@@ -202,8 +202,8 @@ def norm_in_law(
         return (norm if isnan(norm) else min(b_max, max(a_min, norm))), interval
     low, high = interval
     held = min(b_max, max(a_min, low)), min(b_max, max(a_min, high))
-    found = bisection_update(polynomial, mu, held, a_min, b_max, j_max)
-    return found[1], found
+    bracket = bisection_update(polynomial, mu, held, a_min, b_max, j_max)
+    return bracket[1], bracket
 
 
 def homogeneous_norm(polynomial: NormPolynomial, mu: float, guess: float = 1.0) -> float:

@@ -53,6 +53,14 @@ def inverse_design(
         For a pair that is not controllable, or a K that does not stabilize it.
     InfeasibleError
         Where no P is found for alpha, `numerical` where none is refuted either.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Options, System, inverse_design
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> design = inverse_design(cart, Options(alpha=0.4, u_max=3.0))
+    >>> design.u_max.round(3).tolist(), design.K.tolist()
+    ([3.0], [[-4.0, -4.0]])
     """
     options = options or Options()
     options.bounds(system.m)

@@ -90,8 +90,8 @@ def kalman_filter(
     if len(kept) - n > p:
         count = len(kept) - n
         raise UserError(f"{count} disturbances and biases cannot be told from {counted(p, 'measured output')}")
-    chosen = () if names is None else [str(names[i]) for i in kept]
-    _check_detectable(F[which], seen[:, kept], chosen)
+    kept_names = () if names is None else [str(names[i]) for i in kept]
+    _check_detectable(F[which], seen[:, kept], kept_names)
     M = np.zeros((n + m + p, p))
     M[kept] = _gain(F[which], Q[which], seen[:, kept], h, noise.outputs)
     held = np.zeros((n + m, n + m))
@@ -150,12 +150,12 @@ def exponential(M: Matrix) -> list[list[float]]:
     halvings = max(0, frexp(size)[1] + 1)
     unit = [[1.0 if i == j else 0.0 for j in range(len(M))] for i in range(len(M))]
     small = [[entry * 0.5**halvings for entry in row] for row in M]
-    found = unit
+    power = unit
     for k in range(TAYLOR_TERMS, 0, -1):
-        found = plus(unit, [[entry / k for entry in row] for row in multiplied(small, found)])
+        power = plus(unit, [[entry / k for entry in row] for row in multiplied(small, power)])
     for _ in range(halvings):
-        found = multiplied(found, found)
-    return found
+        power = multiplied(power, power)
+    return power
 
 
 def stationary_covariance(F_t: Matrix, C: Matrix, Q: Matrix, variances: Sequence[float]) -> list[list[float]]:

@@ -54,11 +54,11 @@ def largest_ball(system: System, problem: Problem, omega: float, rate: float, op
     best: Design | None = None
     for share in MULTIPLIERS:
         try:
-            found = program.design(share * omega / options.d_max**2)
+            design = program.design(share * omega / options.d_max**2)
         except (InfeasibleError, CertificateError):
             continue
-        if best is None or np.linalg.slogdet(found.P)[1] < np.linalg.slogdet(best.P)[1]:
-            best = found
+        if best is None or np.linalg.slogdet(design.P)[1] < np.linalg.slogdet(best.P)[1]:
+            best = design
     if best is None:
         raise InfeasibleError(f"{what}: no P proves the rejection of |d| <= {options.d_max:g}")
     return best
@@ -112,7 +112,7 @@ class _Program:
         Each center is found in the coordinates of the one before, until that does not change: from there on the slack does
         not either.
         """
-        problem, Y, found = self.first, self._first_Y(), None
+        problem, Y, design = self.first, self._first_Y(), None
         failed: Exception = InfeasibleError(f"{self.what}: no largest unit ball was found", numerical=True)
         for gap in [*FIRST_GAPS, *ROUNDS * [GAP]]:
             values = self._center(problem, Y, tau, gap)
@@ -127,16 +127,16 @@ class _Program:
                 break
             if gap == GAP:
                 try:
-                    found = self._made(problem, following, X, Y, tau)
+                    design = self._made(problem, following, X, Y, tau)
                 except CertificateError as error:  # flatter than where it was begun: its slack comes with the next
                     failed = error
                 else:
                     if float(np.abs(np.log(np.linalg.eigvalsh(X))).max()) < SETTLED:
-                        return found
+                        return design
             problem, Y = following, Y @ L  # (K - K_0) S, and so Y, where X is I
-        if found is None:
-            found = self._first(tau, failed)
-        return replace(found, method=f"{found.method}, ball not maximized")
+        if design is None:
+            design = self._first(tau, failed)
+        return replace(design, method=f"{design.method}, ball not maximized")
 
     def _first_Y(self) -> Array:
         """Return Y of the closed form, whose X is I in the first coordinates; nothing where there is a gain."""

@@ -50,6 +50,13 @@ def largest_alpha(
         As `inverse_design`.
     InfeasibleError
         Where no solution is found for any alpha.
+
+    Examples
+    --------
+    >>> from ihc_fmu import System, largest_alpha
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> [round(largest_alpha(cart, mu, 1e-3), 2) for mu in (1.0, 0.5)]
+    [0.59, 0.85]
     """
     return fastest(system, mu, tolerance, say, beta)[0]
 

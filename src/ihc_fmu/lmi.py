@@ -56,6 +56,16 @@ class InfeasibleError(UserError):
         What was asked for, and what came of it.
     numerical
         Whether none was found although none is refuted either.
+
+    Examples
+    --------
+    >>> from ihc_fmu import InfeasibleError, System, synthesize
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> try:
+    ...     synthesize(cart, mu=1.0, alpha=2.0)
+    ... except InfeasibleError as error:
+    ...     print(error, error.numerical)
+    alpha = 2 1/s, mu = 1: the matrix inequalities have no solution False
     """
 
     def __init__(self, message: str, *, numerical: bool = False) -> None:
@@ -196,11 +206,11 @@ def walk(
         mu, a = path(s)
         if limit.reached(f"at mu = {mu:.3g}, alpha = {a:.3g} in scaled time"):
             break
-        found = problem if problem.margin(mu, a) > MARGIN else improved(problem, mu, a)
-        if found is None:
+        following = problem if problem.margin(mu, a) > MARGIN else improved(problem, mu, a)
+        if following is None:
             step /= 2.0
         else:
-            problem, reached, step = found, s, step * GROWTH
+            problem, reached, step = following, s, step * GROWTH
     return problem, reached
 
 
@@ -229,13 +239,13 @@ def search(problem: Problem, mu: float, a: float, limit: Limit, least: float = L
         if start is None:
             continue
         there, s = walk(start, lambda s, first=first: (s * mu, first), limit)
-        found = Search(there, s * mu, first, complete=s >= 1.0)
-        if found.complete and first < a:
-            found = faster(there, mu, (first, a), limit, least)
-        if found.complete:
-            return found
-        if (found.mu, found.a) > (best.mu, best.a):
-            best = found
+        attempt = Search(there, s * mu, first, complete=s >= 1.0)
+        if attempt.complete and first < a:
+            attempt = faster(there, mu, (first, a), limit, least)
+        if attempt.complete:
+            return attempt
+        if (attempt.mu, attempt.a) > (best.mu, best.a):
+            best = attempt
     return best
 
 

@@ -62,7 +62,7 @@ def homogeneous_observer(design: Design) -> Observer:
     if wish.nu is not None:
         return _observer(design, wish, form, L, wish.nu, limits)
     tried = [_observer(design, wish, form, L, share * lowest, limits) for share in SHARES_OF_DEGREE]
-    return next((found for found in tried if prove(found, design.extent) is not None), tried[0])
+    return next((observer for observer in tried if prove(observer, design.extent) is not None), tried[0])
 
 
 def _observer(
@@ -87,12 +87,12 @@ def _observer(
 
 def remark(design: Design) -> str:
     """Return what is proven of the observer that the system of a design asks for, a sentence."""
-    found = homogeneous_observer(design)
-    proof = prove(found, design.extent)
-    linear = "" if found.nu else ", the linear observer,"
-    what = f"the homogeneous observer of degree nu = {found.nu:.3g}{linear}"
+    observer = homogeneous_observer(design)
+    proof = prove(observer, design.extent)
+    linear = "" if observer.nu else ", the linear observer,"
+    what = f"the homogeneous observer of degree nu = {observer.nu:.3g}{linear}"
     if proof is None:
-        nearer = "; a nu nearer to 0 may have one" if found.nu else ""
+        nearer = "; a nu nearer to 0 may have one" if observer.nu else ""
         return f"{what} is not proven: no proof was found that its errors vanish{nearer}"
     sizes = zip(design.system.states, proof.reach, strict=True)
     reach = ", ".join(f"{q.name} {size:.3g}{q.suffix}" for q, size in sizes)
@@ -138,8 +138,8 @@ def _gain(design: Design, wish: ObserverWish) -> Array:
             raise UserError(str(error).replace("lqr", "observer").replace("(A, B)", "(A', C')")) from None
         assert K is not None
         return K.T
-    found = estimator(replace(design, system=s.changed(observer=None, bandwidth=0.0)))
-    return -found.M[: s.n] / s.sample_time
+    kalman = estimator(replace(design, system=s.changed(observer=None, bandwidth=0.0)))
+    return -kalman.M[: s.n] / s.sample_time
 
 
 def _placed(A: Array, C: Array, poles: Array) -> Array:

@@ -60,9 +60,9 @@ def prove(observer: Observer, sizes: Array) -> ObserverProof | None:
         for share in SCALES:
             reached = error.proven(P, share)
             if reached is not None:
-                found = ObserverProof(reached)
-                if best is None or np.linalg.slogdet(found.P)[1] < np.linalg.slogdet(best.P)[1]:
-                    best = found
+                proof = ObserverProof(reached)
+                if best is None or np.linalg.slogdet(proof.P)[1] < np.linalg.slogdet(best.P)[1]:
+                    best = proof
                 break
     return best
 

@@ -45,6 +45,16 @@ class Options:
     ------
     UserError
         For a number outside its rule.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Options
+    >>> options = Options(mu=0.5, alpha=0.3, u_max=[2.0, 5.0])
+    >>> options.bounds(2).tolist()
+    [2.0, 5.0]
+    >>> Options(mu=1.5)
+    Traceback (most recent call last):
+    fmu_export.errors.UserError: mu must lie in (0, 1], found 1.5
     """
 
     mu: float = 1.0

@@ -27,6 +27,13 @@ class Quantity(NamedTuple):
         Its name.
     unit
         Its unit, "1" for none.
+
+    Examples
+    --------
+    >>> from ihc_fmu import Quantity
+    >>> speed = Quantity.parse("speed [m/s]")
+    >>> speed, str(speed), speed.suffix
+    (Quantity(name='speed', unit='m/s'), 'speed [m/s]', ' m/s')
     """
 
     name: str

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,9 +11,8 @@ from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lya
 
 from fmu_export.errors import UserError, counted, shown
 
+from .arrays import QUIET, Array
 from .block_form import block_form, scaling
-
-Array = np.ndarray
 
 STEPS = 100
 """Of Kleinman's iteration at most; far from the solution each halves the gain, near it each doubles its digits."""
@@ -22,7 +22,32 @@ UNSEEN = 1e-8
 """Smallest singular value of (A - i w I, sqrt(Q)), scaled to entries near 1, that counts as 0."""
 
 
-def checked_weights(Q: ArrayLike, R: ArrayLike, n: int, m: int) -> tuple[Array, Array]:
+@QUIET
+def lqr_gain(A: Array, B: Array, Q: ArrayLike, R: ArrayLike, states: Sequence[str]) -> Array:
+    """Return `regulator_gain` for weights as matrices or their diagonals.
+
+    Raises UserError for weights without a stabilizing solution, where (A, B) is not controllable, which names one of the
+    `states`, and where no gain is found in double precision.
+    """
+    weights = _checked(Q, R, *B.shape)
+    unseen = unseen_frequency(A, B, weights[0])
+    if unseen is None:
+        K = regulator_gain(A, B, *weights)
+        if K is not None and np.linalg.eigvals(A + B @ K).real.max() < 0.0:
+            return K
+    block_form(A, B, states)  # refuses a pair that is not controllable, by its state
+    if unseen is not None:
+        raise UserError(
+            "lqr has no stabilizing solution: Q must weigh all that neither grows nor decays, found a motion at "
+            f"{unseen:.4g} rad/s that it does not"
+        )
+    raise UserError(
+        "lqr could not be decided in double precision: no gain that stabilizes was found, although (A, B) is "
+        "controllable; other weights, or states in other units, may do"
+    )
+
+
+def _checked(Q: ArrayLike, R: ArrayLike, n: int, m: int) -> tuple[Array, Array]:
     """Return Q (n, n) and R (m, m) from matrices or their diagonals; raise UserError unless Q >= 0 and R > 0."""
     Q, R = _weight("Q", Q, n), _weight("R", R, m)
     for name, W, least, rule in (("Q", Q, 0.0, "positive semidefinite"), ("R", R, 1e-300, "positive definite")):

@@ -37,6 +37,15 @@ class Choice:
         A sentence for each that was chosen.
     start
         Where P = I serves for them, if a search for the largest alpha came by: a design need not search again.
+
+    Examples
+    --------
+    >>> from ihc_fmu import System, chosen_options, inverse_design
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> choice = chosen_options(cart, u_max=[3.0])
+    >>> choice.reasons[0]
+    'mu = 1: rejects disturbances'
+    >>> design = inverse_design(cart, choice.options, start=choice.start)
     """
 
     options: Options
@@ -82,6 +91,18 @@ def chosen_options(
         As `Options` and `inverse_design`, and for a mu that integral action does not have.
     InfeasibleError
         As `largest_alpha`.
+
+    Examples
+    --------
+    >>> from ihc_fmu import System, chosen_options
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> choice = chosen_options(cart.changed(lower=[-10], upper=[10]), alpha=0.25)
+    >>> choice.options.mu, choice.options.u_max
+    (1.0, [5.0])
+    >>> for reason in choice.reasons:
+    ...     print(reason)
+    mu = 1: rejects disturbances
+    u_max = 5: the homogeneous part of the control on the unit ball; half of the room within the limits
     """
     reasons, of_bounds, start = [], [], None
     if mu is not None and system.integral is not None:
@@ -136,6 +157,13 @@ def synthesize(system: System, mu: float | None = None, alpha: float | None = No
     InfeasibleError
         Where there is no design, or none is found.
 
+    Examples
+    --------
+    >>> from ihc_fmu import System, synthesize
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], states=("position [m]", "velocity [m/s]"))
+    >>> design = synthesize(cart, u_max=[3.0])
+    >>> design.mu, round(design.alpha, 2), design.u_max.round(3).tolist()
+    (1.0, 0.29, [3.0])
     """
     return inverse_design(system, chosen_options(system, mu, alpha, **options).options)
 

@@ -20,11 +20,11 @@ from fmu_export.errors import UserError
 from fmu_export.files import FilePath
 from fmu_export.reading import read_toml
 
-from .arrays import QUIET, Array
+from .arrays import Array
 from .block_form import BlockForm, block_form
 from .observer_wish import ObserverWish
 from .quantity import Quantity, index_of
-from .riccati import checked_weights, regulator_gain, unseen_frequency
+from .riccati import lqr_gain
 from .state_space import fields_of_model
 from .system_entries import called_as_given, entries_of, fields_of, toml_of
 from .system_rules import checked
@@ -81,6 +81,19 @@ class System:
     ------
     UserError
         Names the entry, its rule and what was found.
+
+    Examples
+    --------
+    >>> from ihc_fmu import System
+    >>> cart = System(A=[[0, 1], [0, 0]], B=[0, 1], states=("position [m]", "velocity [m/s]"), inputs=("force [N]",))
+    >>> cart.n, cart.m, cart.measures_state, cart.output("velocity")
+    (2, 1, True, 1)
+    >>> cart = cart.with_lqr(Q=[4, 0], R=[1]).changed(name="cart", lower=[-5], upper=[5])
+    >>> cart.K.round(6).tolist(), cart.room.tolist()
+    ([[-2.0, -2.0]], [5.0])
+    >>> cart.save("cart.toml")
+    >>> System.load("cart.toml").as_dict() == cart.as_dict()
+    True
     """
 
     A: Array
@@ -210,7 +223,6 @@ class System:
         kept: dict[str, Any] = {"C": None, "outputs": (), "y_eq": None} if self.measures_state else {}
         return replace(self, **{**(OF_OUTPUTS if "C" in changes else kept), **changes})
 
-    @QUIET
     def with_lqr(self, Q: ArrayLike, R: ArrayLike) -> System:
         """Return the system with the gain of the linear-quadratic regulator, K = -R^-1 B' S.
 
@@ -234,22 +246,7 @@ class System:
             For weights without a stabilizing solution, also where (A, B) is not controllable, and where none is found in
             double precision.
         """
-        weights = checked_weights(Q, R, self.n, self.m)
-        unseen = unseen_frequency(self.A, self.B, weights[0])
-        if unseen is not None:
-            _ = self.form  # refuses a pair that is not controllable, by its state
-            raise UserError(
-                "lqr has no stabilizing solution: Q must weigh all that neither grows nor decays, found a motion at "
-                f"{unseen:.4g} rad/s that it does not"
-            )
-        K = regulator_gain(self.A, self.B, *weights)
-        if K is not None and np.linalg.eigvals(self.A + self.B @ K).real.max() < 0.0:
-            return self.changed(K=K)
-        _ = self.form
-        raise UserError(
-            "lqr could not be decided in double precision: no gain that stabilizes was found, although (A, B) is "
-            "controllable; other weights, or states in other units, may do"
-        )
+        return self.changed(K=lqr_gain(self.A, self.B, Q, R, [q.name for q in self.states]))
 
     @classmethod
     def from_state_space(cls, model: Any, K: ArrayLike | None = None, law: str | None = None, **rest: Any) -> System:
@@ -277,6 +274,13 @@ class System:
         ------
         UserError
             For another model, or a K without its law.
+
+        Examples
+        --------
+        >>> from scipy.signal import StateSpace
+        >>> model = StateSpace([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
+        >>> System.from_state_space(model, K=[[4, 4]], law="u = -K x", outputs=["position [m]"]).K.tolist()
+        [[-4.0, -4.0]]
         """
         return cls(**{**fields_of_model(model, K, law), **rest})
 
@@ -324,6 +328,11 @@ class System:
         ------
         UserError
             Names the entry and its rule.
+
+        Examples
+        --------
+        >>> System.from_dict({"A": [[0, 1], [0, 0]], "b": [0, 1], "k_lin": [-4, -4]}).K.tolist()
+        [[-4.0, -4.0]]
         """
         fields, weights = fields_of(data)
         try:
@@ -354,6 +363,11 @@ class System:
         -------
         str
             The text.
+
+        Examples
+        --------
+        >>> System(A=[[-1]], B=[2], name="tank").to_toml("of water").splitlines()[:3]
+        ['# written by qube-ihc', '# of water', 'name = "tank"']
         """
         return toml_of(self.as_dict(), comment)
 

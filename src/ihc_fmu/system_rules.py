@@ -111,8 +111,8 @@ def _vectors(s: Mapping[str, Any]) -> dict[str, Array]:
             given = _measured_equilibrium(given, values["x_eq"])
         value = np.full(count, default) if given is None else np.array(given, dtype=float)
         if value.shape != (count,):
-            found = len(value) if value.ndim == 1 else f"shape {value.shape}"
-            raise UserError(f"{IN_FILES.get(name, name)} must be as many as {of}s, {count}, found {found}")
+            length = len(value) if value.ndim == 1 else f"shape {value.shape}"
+            raise UserError(f"{IN_FILES.get(name, name)} must be as many as {of}s, {count}, found {length}")
         values[name] = value
     for name in ("x_eq", "u_eq", "y_eq", "resolutions", "deviations"):
         matrix(IN_FILES.get(name, name), values[name][None, :])

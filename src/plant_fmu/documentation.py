@@ -7,9 +7,9 @@ from html import escape
 from .parameters import ParameterSet, parameter_set
 
 
-def notes(chosen: str | ParameterSet) -> str:
+def notes(parameters: str | ParameterSet) -> str:
     """Return the model's equations and the origin of the parameter set, given or named."""
-    chosen = parameter_set(chosen)
+    named = parameter_set(parameters)
     return f"""<h2>Model</h2>
 <pre>J(q) q'' + C(q, q') q' + w(q) = [tau, pendulum_torque]',   q = [theta, delta]',   delta = 0 upright
 
@@ -26,5 +26,5 @@ k_e = k_m with back_emf, 0 without</pre>
 <p>Eq. (5) and section III of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for
 Linearized Systems". Integrated by the classical Runge-Kutta method with steps of at most solver_step, inputs held.
 Outputs depend on states only. Encoders report r floor(angle/r + offset), r = 2 pi/encoder_counts.</p>
-<h2>Parameter set <code>{escape(chosen.name)}</code></h2>
-<p>{escape(chosen.use)}. Source: {escape(chosen.source)}.</p>"""
+<h2>Parameter set <code>{escape(named.name)}</code></h2>
+<p>{escape(named.use)}. Source: {escape(named.source)}.</p>"""

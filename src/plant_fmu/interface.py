@@ -164,12 +164,12 @@ INTERFACE = Interface(
 )
 
 
-def start_values(chosen: str | ParameterSet) -> dict[str, Value]:
+def start_values(parameters: str | ParameterSet) -> dict[str, Value]:
     """Return the start values that turn the plant into a parameter set, given or named.
 
     Raises UserError for an unknown name.
     """
-    chosen = parameter_set(chosen)
-    values: dict[str, Value] = {f.name: getattr(chosen.parameters, f.name) for f in fields(QubeParameters)}
-    values["back_emf"] = chosen.back_emf
+    named = parameter_set(parameters)
+    values: dict[str, Value] = {f.name: getattr(named.parameters, f.name) for f in fields(QubeParameters)}
+    values["back_emf"] = named.back_emf
     return values

@@ -75,8 +75,8 @@ class QubePlant:
         """
         voltage, disturbance, tau_p = inputs
         if not math.isfinite(voltage + disturbance + tau_p):
-            found = ", ".join(f"{value:.17g}" for value in inputs)
-            raise UserError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = ({found})")
+            values = ", ".join(f"{value:.17g}" for value in inputs)
+            raise UserError(f"inputs must be finite, found voltage, disturbance_voltage, pendulum_torque = ({values})")
         limit = self.voltage_limit
         applied, tau_p = flushed(min(limit, max(-limit, voltage + disturbance))), flushed(tau_p)
         count = substeps(step, self.longest_step)

@@ -20,6 +20,7 @@ from hypothesis.extra.numpy import arrays
 from cosim import results as results_module
 from cosim import signals
 from cosim.errors import UserError
+from cosim.plots import Picture
 from cosim.results import FORMAT, Result, versions
 
 SMALLEST = 5e-324
@@ -281,7 +282,8 @@ def test_a_plot_shows_what_is_asked_for(made_result):
     assert [axis.get_ylabel() for axis in result.plot().axes][:2] == ["arm θ [rad]", "pendulum δ [rad]"]
     other = Result(result.time, {"tank.T": result.time}, {"tank.T": "degC"}, {})
     assert [axis.get_ylabel() for axis in other.plot().axes] == ["tank.\nT [degC]"]
-    assert other.plot()._repr_png_()[1:4] == b"PNG"  # what a notebook asks for that has not imported pyplot
+    assert isinstance(picture := other.plot(), Picture)
+    assert picture._repr_png_()[1:4] == b"PNG"  # what a notebook asks for that has not imported pyplot
     with pytest.raises(UserError, match=r"no signal 'tank\.t'"):
         other.plot("tank.t")
     with pytest.raises(UserError, match="at least one row and one signal"):

@@ -133,6 +133,7 @@ def test_every_entry_is_read_in_its_type(written, tmp_path):
             "start": 1.0,
         },
         "signals": (),
+        "animation": (),
         "evaluate": dict.fromkeys(("errors", "controls", "scales", "tolerance", "tolerances")),
         "record": {"outputs": ("plant.theta",), "every": 4},
     }

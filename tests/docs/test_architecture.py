@@ -38,24 +38,24 @@ def rows(heading):
 
 def test_packages_import_what_the_page_says():
     said = {package: (imports, names) for (package,), _, imports, names in rows("Packages")}
-    found = {package_of(module): (set(), set()) for module in FILES}
+    imported = {package_of(module): (set(), set()) for module in FILES}
     for module, needs in graph().items():
-        found[package_of(module)][0].update(map(package_of, needs))
-        found[package_of(module)][1].update(libraries(module))
-    found["cosim"][0].remove("cosim.cli")  # by `python -m cosim`, see test_imports.py
-    assert said == {name: (sorted(needs - {name}), sorted(names)) for name, (needs, names) in found.items()}
+        imported[package_of(module)][0].update(map(package_of, needs))
+        imported[package_of(module)][1].update(libraries(module))
+    imported["cosim"][0].remove("cosim.cli")  # by `python -m cosim`, see test_imports.py
+    assert said == {name: (sorted(needs - {name}), sorted(names)) for name, (needs, names) in imported.items()}
 
 
 def online():
     """The slaves and the modules that they import; a package's own module is empty in an FMU."""
-    imports, found = graph(), set()
+    imports, reached = graph(), set()
     queue: list[str] = list(SLAVES)
     while queue:
         module = queue.pop()
-        if module not in found and FILES[module].name != "__init__.py":
-            found.add(module)
+        if module not in reached and FILES[module].name != "__init__.py":
+            reached.add(module)
             queue += imports[module]
-    return found
+    return reached
 
 
 def test_online_modules_are_those_of_the_page():

@@ -166,13 +166,13 @@ def check_printed(block, printed):
     assert block.body.strip()
     for line in filter(None, map(plain, block.body.splitlines())):
         pattern = NUMBER.sub("(NUMBER)", line)
-        found = re.search(re.escape(pattern).replace(r"\(NUMBER\)", f"({NUMBER.pattern})"), rest)
-        assert found is not None, f"{block.place}: {line!r} was not printed; what was is\n{rest}"
-        values = zip(NUMBER.findall(line), found.groups(), strict=True)
+        match = re.search(re.escape(pattern).replace(r"\(NUMBER\)", f"({NUMBER.pattern})"), rest)
+        assert match is not None, f"{block.place}: {line!r} was not printed; what was is\n{rest}"
+        values = zip(NUMBER.findall(line), match.groups(), strict=True)
         assert all(float(a) == pytest.approx(float(b), rel=2e-2) for a, b in values), (
-            f"{block.place}: {line}, {found[0]}"
+            f"{block.place}: {line}, {match[0]}"
         )
-        rest = rest[found.end() :]
+        rest = rest[match.end() :]
 
 
 def plain(text):

@@ -39,9 +39,9 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w.])")
 
 def test_derived_tables_are_current():
     for path, text in load_make_tables().rendered().items():
-        found = path.read_text(encoding="utf-8")
-        assert NUMBER.sub("#", found) == NUMBER.sub("#", text), f"{path.name}: run docs/make_tables.py"
-        numbers = zip(NUMBER.findall(found), NUMBER.findall(text), strict=True)  # a solver's last digits may differ
+        written = path.read_text(encoding="utf-8")
+        assert NUMBER.sub("#", written) == NUMBER.sub("#", text), f"{path.name}: run docs/make_tables.py"
+        numbers = zip(NUMBER.findall(written), NUMBER.findall(text), strict=True)  # a solver's last digits may differ
         assert all(float(a) == pytest.approx(float(b), rel=1e-3) for a, b in numbers), (
             f"{path.name}: run docs/make_tables.py"
         )
@@ -56,28 +56,28 @@ def test_comparisons_on_the_pages_have_the_form_that_make_tables_gives_them(name
     """The numbers of many draws are made by hand with `make_tables.py --results`; their form is tested."""
     tables = load_make_tables()
     page = "".join(path.read_text(encoding="utf-8") for path in tables.COMPARED)
-    found = page.split(tables.START.format(f"comparison {name}"))[1].split(tables.END)[0].strip().splitlines()
+    printed = page.split(tables.START.format(f"comparison {name}"))[1].split(tables.END)[0].strip().splitlines()
     pair = [1.0, 0.1] if name != "tilt_ideal" else [1.0, None]
     numbers = dict.fromkeys(tables.COLUMNS, pair)
     laws = {law: {**numbers, "steady": True} for law in ("LC", "SMC", "IHC")}
-    about = {
+    summary = {
         "draws": 1 if name == "tilt_ideal" else 128,
         "laws": laws,
         "change": dict.fromkeys(("SMC", "IHC"), numbers),
     }
-    expected = tables.comparison(name, about).strip().splitlines()
-    assert [cells(line)[0] for line in found] == [cells(line)[0] for line in expected]
-    assert cells(found[0]) == cells(expected[0])
+    expected = tables.comparison(name, summary).strip().splitlines()
+    assert [cells(line)[0] for line in printed] == [cells(line)[0] for line in expected]
+    assert cells(printed[0]) == cells(expected[0])
     shown = r"[<×+-]? ?[\d.e+-]+( ± [\d.]+)?( %)?( (better|worse|open))?\*?|never|–|equal"
-    assert all(re.fullmatch(shown, cell) for line in found[2:] for cell in cells(line)[1:])
+    assert all(re.fullmatch(shown, cell) for line in printed[2:] for cell in cells(line)[1:])
 
 
 def test_the_readme_says_what_the_laws_do_without_sensors(tmp_path):
     export_units(default_design(), output=tmp_path)
     scenario, folder = load_scenario("tilt_ideal")
-    (found,) = run_experiments([Experiment(scenario, folder)], tmp_path)
+    (result,) = run_experiments([Experiment(scenario, folder)], tmp_path)
     tables = load_make_tables()
-    rows = tables.comparison("tilt_ideal", found.summary()).splitlines()[2:5]
+    rows = tables.comparison("tilt_ideal", result.summary()).splitlines()[2:5]
     page = (ROOT / "README.md").read_text(encoding="utf-8")
     for row in rows:
         name, *values = cells(row)
@@ -90,11 +90,11 @@ def test_what_the_examples_tables_say_of_the_servo_is_so():
     """The other rows are made in the same way, by hand with `make_tables.py --examples`."""
     marks, examples = load_make_tables(), load("example_table")
     page = (ROOT / "docs" / "benefit.md").read_text(encoding="utf-8")
-    found = page.split(marks.START.format("examples"))[1].split(marks.END)[0].strip().splitlines()
-    assert [cells(line)[0] for line in found[2:7]] == [e.name for e in examples.ALL]
+    printed = page.split(marks.START.format("examples"))[1].split(marks.END)[0].strip().splitlines()
+    assert [cells(line)[0] for line in printed[2:7]] == [e.name for e in examples.ALL]
     (servo,) = [e for e in examples.ALL if e.name == "servo"]
     expected = examples.tables([servo]).strip().splitlines()
-    said = [*found[:2], found[6], "", *found[8:10], found[14]]
+    said = [*printed[:2], printed[6], "", *printed[8:10], printed[14]]
     assert [NUMBER.sub("#", line) for line in said] == [NUMBER.sub("#", line) for line in expected]
     pairs = [zip(NUMBER.findall(a), NUMBER.findall(b), strict=True) for a, b in zip(said, expected, strict=True)]
     assert all(float(a) == pytest.approx(float(b), rel=0.05, abs=0.05) for line in pairs for a, b in line)

@@ -17,7 +17,7 @@ def outputs(notebook):
     for cell in notebook["cells"]:
         for output in cell.get("outputs", ()):
             data = output.get("data", {})
-            kind = output.get("name") or next(iter(data))
+            (kind,) = data or [output["name"]]
             found.append((kind, "" if kind == "image/png" else "".join(data.get(kind, output.get("text", "")))))
     return found
 

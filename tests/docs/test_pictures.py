@@ -1,6 +1,7 @@
 """The pictures of docs/images: shown on a page, and those that explain the law say what it does."""
 
 import re
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -29,3 +30,13 @@ def test_the_pictures_of_the_law_are_drawn_and_true(tmp_path, monkeypatch):
     for x, power in (([0.4, 0.0], 2.0 * made.mu), ([0.0, 0.4], made.mu)):
         command = Controller(made, discretization="explicit", a_min=0.001)(x)
         assert command == pytest.approx(made.K @ x * norm_of(made, x) ** -power, rel=1e-9)
+
+
+def test_the_animation_is_of_the_run_as_it_is_now():
+    animation, number = load("make_animation"), re.compile(r"-?\d+\.?\d*")
+    held, made = animation.PICTURE.read_text(encoding="utf-8"), animation.picture(animation.run())
+    assert number.sub("#", held) == number.sub("#", made), "run docs/make_animation.py"
+    numbers = zip(number.findall(held), number.findall(made), strict=True)
+    assert all(float(a) == pytest.approx(float(b), abs=0.2) for a, b in numbers), "run docs/make_animation.py"
+    assert ElementTree.fromstring(held).tag == "{http://www.w3.org/2000/svg}svg"
+    assert len(held) < 100_000

@@ -41,9 +41,9 @@ class Fetched(HTMLParser):
 
 
 def parsed(page):
-    found = Fetched()
-    found.feed(page.read_text(encoding="utf-8"))
-    return found
+    fetched = Fetched()
+    fetched.feed(page.read_text(encoding="utf-8"))
+    return fetched
 
 
 def test_the_site_needs_no_network(site):

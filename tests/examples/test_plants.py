@@ -165,9 +165,9 @@ def test_the_fmu_linearizes_to_the_jacobian_of_the_equations(name, plant_of, fmu
     start = {"encoder_counts": 0.0} if name == "servo" else {}
     outputs = [] if system.measures_state else [q.name for q in system.outputs]
     model = linear_model(fmu_of(name), [q.name for q in system.inputs], outputs, start=start)
-    for found in (model, system):  # the file that is shipped is what comes out
-        np.testing.assert_allclose(found.A, A, rtol=1e-8, atol=1e-8 * np.abs(A).max())
-        np.testing.assert_allclose(found.B, B, rtol=1e-8, atol=1e-8 * np.abs(B).max())
+    for one in (model, system):  # the file that is shipped is what comes out
+        np.testing.assert_allclose(one.A, A, rtol=1e-8, atol=1e-8 * np.abs(A).max())
+        np.testing.assert_allclose(one.B, B, rtol=1e-8, atol=1e-8 * np.abs(B).max())
     np.testing.assert_array_equal(model.C, system.C)
     assert (model.states, model.inputs, model.outputs) == (system.states, system.inputs, system.outputs)
     assert model.error < 1e-8

@@ -13,7 +13,7 @@ STEP = 1e-3
 
 def extreme_values(interface, rng, start):
     """A few parameters at their bounds, tiny, huge, or somewhat off their start values."""
-    chosen = {}
+    values = {}
     for v in rng.sample(interface.of("parameter"), rng.randint(1, 6)):
         low, high = v.limits()
         if v.type != "Real":
@@ -23,8 +23,8 @@ def extreme_values(interface, rng, start):
             near = [start.get(v.name, v.start) * f for f in (0.0, 1e-3, 0.5, 2.0, 1e3)]
             wide = [s * 10.0**e for s in (-1, 1) for e in (-320, -300, -12, -3, 0, 3, 12, 150, 300)]
             candidates = [value for value in (low, high, *near, *wide) if low <= value <= high and math.isfinite(value)]
-        chosen[v.name] = rng.choice(candidates)
-    return chosen
+        values[v.name] = rng.choice(candidates)
+    return values
 
 
 def answer_of_python(call, *arguments):
@@ -55,20 +55,20 @@ def compare(folder, interface, twin, start, changes, rows, exact):
 
     try:
         python = answer_of_python(begin)
-        found = answer_of_native(native, native.initialize, **changes)
+        answer = answer_of_native(native, native.initialize, **changes)
         if isinstance(python, str):
-            assert found == python, changes
+            assert answer == python, changes
             return "refused"
         for k, row in enumerate(rows):
-            assert not isinstance(found, str), (changes, found)
+            assert not isinstance(answer, str), (changes, answer)
             np.testing.assert_allclose(
                 np.array(native.outputs(), float), np.array(python.outputs(), float), rtol=0.0 if exact else 1e-12
             )
             said = answer_of_python(python.step, k * STEP, STEP, row)
             native.log.clear()
-            found = answer_of_native(native, native.step, k * STEP, STEP, **dict(zip(names, row, strict=True)))
+            answer = answer_of_native(native, native.step, k * STEP, STEP, **dict(zip(names, row, strict=True)))
             if isinstance(said, str):
-                assert found == said, changes
+                assert answer == said, changes
                 return "failed"
             assert [text for _, _, text in native.log] == [f"t = {k * STEP:.9g} s: {text}" for text in said], changes
         return "ran"

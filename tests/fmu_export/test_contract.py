@@ -160,13 +160,13 @@ def test_refusal_has_its_cause_in_the_log(case, refusals, slaves):
     units, _, _, parts = REFUSALS[case]
     for name in [units] if isinstance(units, str) else units:
         for kind in ("native", "python"):
-            found = refusals[f"{kind} {case} {name}"]
-            assert found["status"] == ERROR if kind == "native" else found["status"] >= ERROR
-            status, category, message = found["log"][0]
+            refusal = refusals[f"{kind} {case} {name}"]
+            assert refusal["status"] == ERROR if kind == "native" else refusal["status"] >= ERROR
+            status, category, message = refusal["log"][0]
             assert (status, category) == (ERROR, "logStatusError")
             assert [part for part in parts if part not in message.replace("-nan", "nan")] == [], (kind, message)
             if kind == "native":
-                assert len(found["log"]) == 1
+                assert len(refusal["log"]) == 1
             else:
                 assert "Traceback" in message
                 assert re.search(r"\bt = \S+ s\b", message)
@@ -210,8 +210,8 @@ def test_a_long_step_is_as_many_samples_and_is_warned_of_once(fmu):
     long, short = fmu(CONTROLLER).initialize(), fmu(CONTROLLER).initialize()
     for k in range(5):
         held = inputs_at(CONTROLLER, 8 * k)
-        found = long.step(k * 8e-3, 8e-3, **held)
-        assert found == [short.step((8 * k + i) * STEP, STEP, **held) for i in range(8)][-1]
+        outputs = long.step(k * 8e-3, 8e-3, **held)
+        assert outputs == [short.step((8 * k + i) * STEP, STEP, **held) for i in range(8)][-1]
     ((status, category, message),) = long.log
     assert (status, category) == (WARNING, "logStatusWarning")
     assert "a communication step of 0.008 s holds the inputs over several samples" in message

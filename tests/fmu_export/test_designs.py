@@ -98,10 +98,10 @@ def both(request, instance):
     return [instance(request.param, kind) for kind in KINDS]
 
 
-def agree(found, expected):
+def agree(actual, expected):
     """To the last bit where both call the same mathematical library."""
     tolerance = 0.0 if EXACT else 1e-12
-    np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(np.array(actual, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
 
 
 def inputs_of(fmu):
@@ -135,11 +135,11 @@ def test_both_kinds_are_valid_and_describe_the_same(which, files):
     native, python = (described_by(files[which, kind]) for kind in KINDS)
     assert validate_fmu(str(files[which, "python"])) == []
     assert (python.modelName, python.coSimulation.modelIdentifier) == (native.modelName, which)
-    about = [
+    variables = [
         [(v.name, v.valueReference, v.causality, v.variability, v.type, v.start, v.min, v.max, v.unit) for v in d]
         for d in (native.modelVariables, python.modelVariables)
     ]
-    assert about[0] == about[1]
+    assert variables[0] == variables[1]
     with zipfile.ZipFile(files[which, "python"]) as archive:
         assert f"binaries/linux64/{which}.so" in archive.namelist()
 

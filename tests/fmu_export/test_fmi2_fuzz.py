@@ -155,7 +155,7 @@ class AnyOrder(RuleBasedStateMachine):
         variables = [self.by_reference[reference] for reference, _ in pairs] if ok else []
         if any(v.variability == "tunable" for v in variables) and self.phase in RUNNING:
             if any(v.causality == "input" for v in variables):
-                return  # an input stays set where tunables of the same call contradict each other: test_fmi2_adapter.py
+                return  # an input stays set where tunables of the same call contradict each other: test_fmu_instance.py
             before = self.unit.everything()
             if self.unit.call(*call) != OK:
                 assert self.unit.everything() == before

@@ -79,11 +79,11 @@ result = {"same": all(row == rows[0] for row in rows), "row": rows[0], "modules"
 
 
 def test_fifty_runs_in_one_process_are_the_same_and_load_no_more_modules(name, folders, host, run_python):
-    found = run_python(REPEAT, {"folder": str(folders[name]), "times": 50})
+    result = run_python(REPEAT, {"folder": str(folders[name]), "times": 50})
     instance = host(name).initialize()
-    assert found["same"]
-    assert [tuple(row) for row in found["row"]] == [instance.step(k * STEP, STEP) for k in range(3)]
-    assert found["modules"][0] == found["modules"][1]
+    assert result["same"]
+    assert [tuple(row) for row in result["row"]] == [instance.step(k * STEP, STEP) for k in range(3)]
+    assert result["modules"][0] == result["modules"][1]
 
 
 SOUND = """
@@ -115,12 +115,12 @@ for name, folder in data.items():
 
 
 def test_failed_instances_can_be_freed_and_leave_the_process_sound(folders, unit, slaves, run_python):
-    found = run_python(SOUND, {name: str(folder) for name, folder in folders.items()})
+    results = run_python(SOUND, {name: str(folder) for name, folder in folders.items()})
     for name in NAMES:
         library = unit(name)
         library.initialize(0.0, inputs := tuple(0.0 for _ in slaves[name].interface.of("input")))
         library.step(0.0, 1e-3, inputs)
-        said, outputs = found[name]
+        said, outputs = results[name]
         assert len(said) == 9
         assert [call for call in said if call[0] == "b" and "the state must be one of this FMU" not in said[call]] == []
         assert outputs == list(library.outputs())

@@ -43,19 +43,19 @@ def test_fmpy_finds_no_problem(name, fmus):
 
 def test_fmpy_reads_the_interface_table_back(name, fmus, slaves, start):
     interface = slaves[name].interface
-    found = read_model_description(str(fmus[name]))
-    assert (found.modelName, found.description) == (interface.name, interface.description)
-    assert found.coSimulation is not None
-    assert found.coSimulation.modelIdentifier == interface.name
-    assert found.coSimulation.canHandleVariableCommunicationStepSize == interface.variable_step
-    assert found.coSimulation.canGetAndSetFMUstate
-    assert found.coSimulation.canSerializeFMUstate
-    experiment = found.defaultExperiment
+    description = read_model_description(str(fmus[name]))
+    assert (description.modelName, description.description) == (interface.name, interface.description)
+    assert description.coSimulation is not None
+    assert description.coSimulation.modelIdentifier == interface.name
+    assert description.coSimulation.canHandleVariableCommunicationStepSize == interface.variable_step
+    assert description.coSimulation.canGetAndSetFMUstate
+    assert description.coSimulation.canSerializeFMUstate
+    experiment = description.defaultExperiment
     assert experiment is not None
     times = (experiment.startTime, experiment.stopTime, experiment.stepSize)
     assert [float(time or "nan") for time in times] == [0.0, interface.stop_time, interface.step_size]
-    assert [v.valueReference for v in found.modelVariables] == list(range(len(interface.variables)))
-    for read, table in zip(found.modelVariables, interface.variables, strict=True):
+    assert [v.valueReference for v in description.modelVariables] == list(range(len(interface.variables)))
+    for read, table in zip(description.modelVariables, interface.variables, strict=True):
         assert (read.name, read.type, read.causality) == (table.name, table.type, table.causality)
         assert read.description == table.description
         assert read.unit == (table.unit if table.type == "Real" else None)
@@ -75,11 +75,11 @@ def as_start(text):
 
 
 def test_enumerations_carry_their_names(name, fmus, slaves):
-    found = {v.name: v for v in read_model_description(str(fmus[name])).modelVariables}
+    described = {v.name: v for v in read_model_description(str(fmus[name])).modelVariables}
     named = [v for v in slaves[name].interface.variables if v.type == "Enumeration"]
     assert named
     for variable in named:
-        declared = found[variable.name].declaredType
+        declared = described[variable.name].declaredType
         assert declared is not None
         assert [(item.name, item.value) for item in declared.items] == [
             (item, str(i)) for i, item in enumerate(variable.items, start=1)
@@ -90,12 +90,12 @@ def unknowns(path, section):
     """Return what each unknown of a section of ModelStructure depends on, by names."""
     root = xml_of(path)
     names = ["", *(v.get("name") for v in root.iterfind("ModelVariables/ScalarVariable"))]
-    found = {}
+    dependencies = {}
     for unknown in root.iterfind(f"ModelStructure/{section}/Unknown"):
         known = unknown.attrib["dependencies"].split()  # an absent attribute would mean: depends on everything
         assert unknown.attrib["dependenciesKind"].split() == ["dependent"] * len(known)
-        found[names[int(unknown.attrib["index"])]] = {names[int(index)] for index in known}
-    return found
+        dependencies[names[int(unknown.attrib["index"])]] = {names[int(index)] for index in known}
+    return dependencies
 
 
 def test_outputs_of_co_simulation_depend_on_no_input(name, fmus, slaves):
@@ -142,10 +142,10 @@ def test_initial_unknowns_depend_on_what_changes_them_and_on_nothing_else(name, 
             unit.initialize(0.0, inputs)
         except UserError:
             return None
-        found = dict(zip(declared, unit.outputs(), strict=True))
-        return found if all(map(math.isfinite, found.values())) else None
+        computed = dict(zip(declared, unit.outputs(), strict=True))
+        return computed if all(map(math.isfinite, computed.values())) else None
 
-    found = {output: set() for output in declared}
+    dependencies = {output: set() for output in declared}
     for _ in range(60):
         values = guess(interface, start[name], rng)
         before = outputs(values)
@@ -158,8 +158,8 @@ def test_initial_unknowns_depend_on_what_changes_them_and_on_nothing_else(name, 
             if after is not None:
                 for output in declared:
                     if after[output] != before[output]:
-                        found[output].add(v.name)
-    assert {name: found[name] ^ declared[name] for name in declared} == {name: set() for name in declared}
+                        dependencies[output].add(v.name)
+    assert {name: dependencies[name] ^ declared[name] for name in declared} == {name: set() for name in declared}
     initial = unknowns(fmus[name], "InitialUnknowns")
     assert initial == {v.name: declared[v.name] for v in interface.of("output")}
     native = unknowns(native_fmus[name], "InitialUnknowns")
@@ -179,9 +179,9 @@ def test_left_out_outputs_become_local_variables(slaves, start, unit, tmp_path):
     slave = slaves["IhcController"]
     path = export_python_fmu(slave, tmp_path / "unit.fmu", start["IhcController"], outputs=["voltage", "mode"])
     assert validate_fmu(str(path)) == []
-    found = {v.name: v.causality for v in read_model_description(str(path)).modelVariables}
-    assert [name for name, causality in found.items() if causality == "output"] == ["voltage", "mode"]
-    assert found["fault"] == "local"
+    causalities = {v.name: v.causality for v in read_model_description(str(path)).modelVariables}
+    assert [name for name, causality in causalities.items() if causality == "output"] == ["voltage", "mode"]
+    assert causalities["fault"] == "local"
     assert set(unknowns(path, "Outputs")) == {"voltage", "mode"}
     with pytest.raises(UserError, match="IhcController has no output named 'vltage'; did you mean voltage"):
         slave.interface.exposing(["vltage"])
@@ -219,9 +219,9 @@ def test_volt_is_kg_m2_per_s3_and_ampere(name, fmus):
 
 
 def test_every_real_has_a_unit_defined_with_its_exponents(name, fmus):
-    found = read_model_description(str(fmus[name]))
-    units = {u.name: u.baseUnit for u in found.unitDefinitions}
-    used = {v.unit for v in found.modelVariables if v.type == "Real"}
+    description = read_model_description(str(fmus[name]))
+    units = {u.name: u.baseUnit for u in description.unitDefinitions}
+    used = {v.unit for v in description.modelVariables if v.type == "Real"}
     assert set(units) == used
     for symbol, base in units.items():
         exponents = {key: getattr(base, key) for key in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
@@ -279,10 +279,10 @@ def test_exported_file_has_the_start_values_asked_for(tmp_path, slaves):
     changes = {"theta_0": 0.1 + 0.2, "delta_0": 1e-300, "noise_seed": 2**31 - 1, "back_emf": False, "motor_model": 2}
     path = export_python_fmu(slaves["QubeServo2"], tmp_path / "plant.fmu", changes)
     assert validate_fmu(str(path)) == []
-    found = {v.name: v.start for v in read_model_description(str(path)).modelVariables}
+    starts = {v.name: v.start for v in read_model_description(str(path)).modelVariables}
     asked = {"theta_0": "0.30000000000000004", "delta_0": "1e-300", "noise_seed": "2147483647", "back_emf": "false"}
-    assert {key: found[key] for key in changes} == {**asked, "motor_model": "2"}
-    assert found["m_p"] == "0.024"
+    assert {key: starts[key] for key in changes} == {**asked, "motor_model": "2"}
+    assert starts["m_p"] == "0.024"
 
 
 def test_limits_and_discrete_variability_are_written_in_the_variables_type():

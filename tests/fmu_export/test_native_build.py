@@ -198,16 +198,16 @@ def test_core_calls_nothing_but_mathematics_and_copies(core, symbols):
 @pytest.mark.parametrize("source", [*CORES, *ADAPTERS])
 def test_no_variable_outlives_a_call(source, symbols):
     """Neither initialized nor zeroed; constants with addresses in them are read-only once they are loaded."""
-    found = symbols(source)
-    assert {name: section for name, section in found.items() if WRITABLE.match(section)} == {}
-    assert len(found) > 1
+    sections = symbols(source)
+    assert {name: section for name, section in sections.items() if WRITABLE.match(section)} == {}
+    assert len(sections) > 1
 
 
 def test_a_variable_that_outlives_a_call_would_be_seen(symbols):
-    found = {name.split(".")[-1]: section for name, section in symbols("counter.c").items()}
-    assert WRITABLE.match(found["zeroed"])
-    assert WRITABLE.match(found["counted"])
-    assert not WRITABLE.match(found["names"])
+    sections = {name.split(".")[-1]: section for name, section in symbols("counter.c").items()}
+    assert WRITABLE.match(sections["zeroed"])
+    assert WRITABLE.match(sections["counted"])
+    assert not WRITABLE.match(sections["names"])
 
 
 # What the compiler refuses
@@ -288,13 +288,13 @@ def slices(binary):
     """Return {CPU type: thin file} of a universal file, and check how it is put together."""
     magic, count = struct.unpack_from(">II", binary)
     assert magic == 0xCAFEBABE
-    found = {}
+    machines = {}
     for i in range(count):
         cpu, subtype, offset, size, alignment = struct.unpack_from(">IIIII", binary, 8 + 20 * i)
         assert offset % (1 << alignment) == 0
         assert offset + size <= len(binary)
-        found[cpu, subtype] = binary[offset : offset + size]
-    return found
+        machines[cpu, subtype] = binary[offset : offset + size]
+    return machines
 
 
 X86, ARM = (0x01000007, 3), (0x0100000C, 0)
@@ -310,9 +310,9 @@ def test_universal_file_gives_its_slices_back(sizes):
 
 
 def test_library_for_macs_holds_both_machines():
-    found = slices(build_library(TINY, "tiny", PLATFORMS["darwin64"]))
-    assert set(found) == {X86, ARM}
-    for part in found.values():
+    machines = slices(build_library(TINY, "tiny", PLATFORMS["darwin64"]))
+    assert set(machines) == {X86, ARM}
+    for part in machines.values():
         assert struct.unpack_from("<I", part) == (0xFEEDFACF,)
         assert struct.unpack_from("<I", part, 12) == (6,)  # MH_DYLIB
         assert b"@rpath/tiny.dylib\0" in part

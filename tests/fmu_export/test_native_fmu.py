@@ -229,10 +229,10 @@ def test_binaries_are_for_the_platforms_asked_for(native_units, native_fmus, tmp
     )
     assert built == [f"{PLANT} for {name}" for name in names[:2]]
     files = contents(path)
-    found = {file.split("/")[1] for file in files if file.startswith("binaries/")}
-    assert found == set(names)
+    platforms = {file.split("/")[1] for file in files if file.startswith("binaries/")}
+    assert platforms == set(names)
     assert struct.unpack_from("<H", files[f"binaries/aarch64-linux/{PLANT}.so"], 18) == (183,)
-    assert len(files) == len(contents(native_fmus[PLANT])) + len(found) - 1
+    assert len(files) == len(contents(native_fmus[PLANT])) + len(platforms) - 1
 
 
 def test_file_without_binaries_is_sources_only(native_units, tmp_path):
@@ -312,24 +312,24 @@ class Exchange:
         return self
 
     def states(self):
-        found = real(*[0.0] * len(STATES[self.motor]))
-        self.instance.done("GetContinuousStates", found, len(found))
-        return tuple(found)
+        values = real(*[0.0] * len(STATES[self.motor]))
+        self.instance.done("GetContinuousStates", values, len(values))
+        return tuple(values)
 
     def derivatives(self, x, u):
-        found = real(*[0.0] * len(x))
-        self.at(x, u).instance.done("GetDerivatives", found, len(found))
-        return np.array(found)
+        values = real(*[0.0] * len(x))
+        self.at(x, u).instance.done("GetDerivatives", values, len(values))
+        return np.array(values)
 
     def outputs(self, x, u, names):
         return np.array(self.at(x, u).instance.get(*names))
 
     def directional(self, unknowns, knowns, seeds):
         numbers = [(ctypes.c_uint * len(n))(*map(self.instance.reference, n)) for n in (unknowns, knowns)]
-        found = real(*[0.0] * len(unknowns))
-        arguments = (numbers[0], len(unknowns), numbers[1], len(knowns), real(*seeds), found)
+        values = real(*[0.0] * len(unknowns))
+        arguments = (numbers[0], len(unknowns), numbers[1], len(knowns), real(*seeds), values)
         self.instance.done("GetDirectionalDerivative", *arguments)
-        return np.array(found)
+        return np.array(values)
 
     def jacobian(self, x, u, unknowns):
         """Return the derivatives of `unknowns` by states and inputs, a column each."""
@@ -359,10 +359,10 @@ def random_point(motor, seed):
     return x[: len(STATES[motor])], [rng.uniform(-4, 4), rng.uniform(-4, 4), rng.uniform(-1e-2, 1e-2)]
 
 
-def assert_close_to_differences(found, expected):
+def assert_close_to_differences(actual, expected):
     """Row by row, to the accuracy of the differences."""
     scale = np.abs(expected).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(found, expected, atol=1e-7 * max(1.0, float(scale.max())), rtol=1e-6)
+    np.testing.assert_allclose(actual, expected, atol=1e-7 * max(1.0, float(scale.max())), rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -442,8 +442,8 @@ def test_declared_dependencies_are_the_entries_that_are_not_zero(motor, plants, 
     plant, knowns = exchange(motor, encoder_counts=0), (*STATES[motor], *INPUTS)
     unknowns = [*described.outputs, *described.derivatives]
     names = [unknown.variable.name for unknown in unknowns]
-    found = np.sum([abs(plant.jacobian(*random_point(motor, seed), names)) for seed in range(5)], axis=0)
-    for name, unknown, row in zip(names, unknowns, found, strict=True):
+    sums = np.sum([abs(plant.jacobian(*random_point(motor, seed), names)) for seed in range(5)], axis=0)
+    for name, unknown, row in zip(names, unknowns, sums, strict=True):
         assert {v.name for v in unknown.dependencies} == {k for k, entry in zip(knowns, row, strict=True) if entry}, (
             name
         )
@@ -460,10 +460,10 @@ def test_outputs_of_co_simulation_do_not_depend_on_inputs_before_the_next_step(n
     instance.step(0.0, STEP, voltage=2.0)
     names = instance.output_names
     numbers = [(ctypes.c_uint * len(n))(*map(instance.reference, n)) for n in (names, INPUTS)]
-    found = real(*[math.nan] * len(names))
+    values = real(*[math.nan] * len(names))
     for seeds in np.eye(len(INPUTS)):
-        instance.done("GetDirectionalDerivative", numbers[0], len(names), numbers[1], 3, real(*seeds), found)
-        assert list(found) == [0.0] * len(names)
+        instance.done("GetDirectionalDerivative", numbers[0], len(names), numbers[1], 3, real(*seeds), values)
+        assert list(values) == [0.0] * len(names)
 
 
 @pytest.mark.parametrize("parameter", ["noise_std", "measurement_delay"])
@@ -498,9 +498,9 @@ def rebuilt(tmp_path_factory, native_fmus):
     return compiled
 
 
-def agree(found, expected):
+def agree(actual, expected):
     exact = platform.machine() == "x86_64"
-    np.testing.assert_allclose(found, expected, rtol=0.0 if exact else 1e-12, atol=0.0 if exact else 1e-12)
+    np.testing.assert_allclose(actual, expected, rtol=0.0 if exact else 1e-12, atol=0.0 if exact else 1e-12)
 
 
 def test_rebuilt_binary_equals_the_one_that_came_with_it(name, rebuilt, native, native_folders):

@@ -71,8 +71,8 @@ def entries(text):
 
 
 def test_table_has_an_entry_for_each_variable_in_the_order_of_references(unit):
-    found = entries(variable_table(unit))
-    assert list(found) == [v.name for v in INTERFACE.variables]
+    rows = entries(variable_table(unit))
+    assert list(rows) == [v.name for v in INTERFACE.variables]
     assert "enum { VARIABLE_COUNT = 22 };" in variable_table(unit)
     header = unit.generated["fmu_model.h"]
     assert '#define UNIT_NAME "Tank"' in variable_table(unit)
@@ -124,8 +124,8 @@ def test_table_asserts_the_size_of_each_field(struct, field, size, unit):
 
 def test_each_field_has_the_reference_of_its_first_variable(unit):
     text = variable_table(unit).split("enum {\n")[1].split("};")[0]
-    found = dict(line.strip().rstrip(",").split(" = ") for line in text.splitlines())
-    assert {name: int(number) for name, number in found.items()} == {
+    constants = dict(line.strip().rstrip(",").split(" = ") for line in text.splitlines())
+    assert {name: int(number) for name, number in constants.items()} == {
         **{f"VR_{name}": i for i, name in enumerate(("inflow", "level", "level_dot", "state", "area", "gain"))},
         **{"VR_M": 7, "VR_alone_1": 11, "VR_valve": 12, "VR_open_now": 13, "VR_cells": 14, "VR_T": 16},
     }

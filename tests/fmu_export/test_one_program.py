@@ -149,5 +149,5 @@ def test_rebuilt_libraries_keep_their_symbols_to_themselves(
         ]
         command(*COMPILERS["gcc"], *options, *sources, "-o", library, "-lm", cwd=tmp_path)
         units.append((str(folder), str(library)))
-    found = run_python(GLOBAL, {"units": units})
-    assert [tuple(row) for row in found] == [native(folder).initialize().step(0.0, 1e-3) for folder in folders]
+    result = run_python(GLOBAL, {"units": units})
+    assert [tuple(row) for row in result] == [native(folder).initialize().step(0.0, 1e-3) for folder in folders]

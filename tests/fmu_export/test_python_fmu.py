@@ -151,9 +151,9 @@ def test_bundled_modules_import_each_other_and_the_standard_library_only(name, f
                 target = tuple(filter(None, (node.module or "").split(".")))
                 if node.level:
                     base = parts[: -node.level]
-                    found = [base + target, *[base + target + (alias.name,) for alias in node.names]]
+                    candidates = [base + target, *[base + target + (alias.name,) for alias in node.names]]
                     assert base, parts
-                    assert any(candidate in modules for candidate in found), (parts, ast.unparse(node))
+                    assert any(candidate in modules for candidate in candidates), (parts, ast.unparse(node))
                 elif parts == script:
                     assert target in modules, ast.unparse(node)
                 else:
@@ -211,15 +211,15 @@ def test_file_runs_in_an_interpreter_that_has_the_standard_library_only(name, fm
     reals = [(i, reference(v)) for i, v in enumerate(interface.of("output")) if v.type == "Real"]
     rows = [[0.01 * math.sin(0.1 * k + i) for i in range(len(inputs))] for k in range(20)]
     request = {"folder": folder, "name": name, "rows": rows, "inputs": inputs, "outputs": [vr for _, vr in reals]}
-    found = run_python(HOST_WITHOUT_PACKAGES, request, options=("-I", "-S"))
+    result = run_python(HOST_WITHOUT_PACKAGES, request, options=("-I", "-S"))
     library = unit(name)
     library.initialize(0.0, tuple(0.0 for _ in inputs))
     for k, row in enumerate(rows):
         library.step(k * 1e-3, 1e-3, tuple(row))
-        assert found["rows"][k] == [library.outputs()[i] for i, _ in reals]
+        assert result["rows"][k] == [library.outputs()[i] for i, _ in reals]
     script = (Path(folder) / "resources/slavemodule.txt").read_text()
-    assert set(found["own"]) == {script, f"{script}_code"}
-    assert [file for file in found["files"] if not Path(file).is_relative_to(folder)] == []
+    assert set(result["own"]) == {script, f"{script}_code"}
+    assert [file for file in result["files"] if not Path(file).is_relative_to(folder)] == []
 
 
 def test_paths_with_spaces_work(name, slaves, start, unit, host, tmp_path):
@@ -360,8 +360,8 @@ sys.modules.update(strangers)
 result = [list(Host(folder).initialize().outputs()) for folder in data]
 assert all(sys.modules[name] is module for name, module in strangers.items())
 """
-    found = run_python(script, [str(folders[name]) for name in UNIT_PACKAGES])
-    assert found == [list(unit(name).outputs()) for name in UNIT_PACKAGES]
+    result = run_python(script, [str(folders[name]) for name in UNIT_PACKAGES])
+    assert result == [list(unit(name).outputs()) for name in UNIT_PACKAGES]
 
 
 def test_same_code_with_other_start_values_keeps_its_own(host, slaves, tmp_path):

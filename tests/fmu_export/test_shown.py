@@ -149,11 +149,11 @@ def test_structure_speaks_of_positions_and_of_shown_variables_only(files):
     names = [v.get("name", "") for v in root.iterfind("ModelVariables/ScalarVariable")]
 
     def unknowns(section):
-        found = {}
+        dependencies = {}
         for unknown in root.iterfind(f"ModelStructure/{section}/Unknown"):
             known = unknown.get("dependencies", "").split()
-            found[names[int(unknown.get("index", "")) - 1]] = {names[int(i) - 1] for i in known}
-        return found
+            dependencies[names[int(unknown.get("index", "")) - 1]] = {names[int(i) - 1] for i in known}
+        return dependencies
 
     assert unknowns("Derivatives") == {"dx": {"x", "pump"}, "dlevel": {"level_1", "pump"}}
     states = {"x": {"x"}, "level_1": {"level_1"}}
@@ -333,12 +333,12 @@ def test_number_of_states_follows_a_parameter(native, folders):
 def test_directional_derivatives_are_the_matrices(native, folders):
     instance = native(folders["TWO"], EXCHANGE).initialize()
     unknowns, knowns = ["dx", "dlevel", "sum"], ["x", "level_1", "pump"]
-    rows, found = [(ctypes.c_uint * 3)(*map(instance.reference, n)) for n in (unknowns, knowns)], []
+    rows, columns = [(ctypes.c_uint * 3)(*map(instance.reference, n)) for n in (unknowns, knowns)], []
     for seeds in np.eye(3):
         column = (ctypes.c_double * 3)()
         instance.done("GetDirectionalDerivative", rows[0], 3, rows[1], 3, (ctypes.c_double * 3)(*seeds), column)
-        found.append(list(column))
-    np.testing.assert_array_equal(np.transpose(found), [[-1.0, 0.0, 1.0], [0.0, -2.0, -3.0], [1.0, -1.0, 0.0]])
+        columns.append(list(column))
+    np.testing.assert_array_equal(np.transpose(columns), [[-1.0, 0.0, 1.0], [0.0, -2.0, -3.0], [1.0, -1.0, 0.0]])
 
 
 def test_state_of_one_interface_is_none_of_the_other(native, folders):
@@ -401,11 +401,11 @@ int main(int count, char **arguments)
 
 
 def compiler():
-    found = shutil.which("gcc")
-    if found is None:
+    compiler = shutil.which("gcc")
+    if compiler is None:
         pytest.skip("the sources were not compiled: gcc is not on the PATH")
     return [
-        found,
+        compiler,
         "-std=c99",
         "-O2",
         "-Wall",

@@ -67,10 +67,10 @@ VOLT = {"kg": 1, "m": 2, "s": -3, "A": -1}
     ],
 )
 def test_unit_is_a_factor_and_powers_of_base_units(unit, powers, factor):
-    found = base_unit(unit)
-    assert found is not None
-    assert (dict(found.powers), found.offset) == (powers, 0.0)
-    assert found.factor == pytest.approx(factor, rel=2e-16)
+    base = base_unit(unit)
+    assert base is not None
+    assert (dict(base.powers), base.offset) == (powers, 0.0)
+    assert base.factor == pytest.approx(factor, rel=2e-16)
 
 
 @pytest.mark.parametrize(("unit", "freezing", "boiling"), [("degC", 0.0, 99.9743), ("degF", 32.0, 211.95374)])

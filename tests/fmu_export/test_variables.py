@@ -41,8 +41,8 @@ CHOICE = parameter("law", start=1, type="Enumeration", items=("LC", "SMC", "IHC"
     ],
 )
 def test_admissible_value_comes_back_in_the_variables_own_type(variable, value, expected):
-    found = variable.check(value)
-    assert (found, type(found)) == (expected, type(expected))
+    checked = variable.check(value)
+    assert (checked, type(checked)) == (expected, type(expected))
 
 
 @pytest.mark.parametrize(

@@ -76,11 +76,11 @@ class IdealLoop:
 
     def worst_rates(self, disturbance, count):
         """Return the larger d||x||_d/dt under +-`disturbance` [V] at random x with norms in [0.1, 10]; mu = 1."""
-        rng, found = np.random.default_rng(11), []
+        rng, rates = np.random.default_rng(11), []
         for r in 10.0 ** rng.uniform(-1, 1, count):
             x = self.dilated(self.on_the_sphere(rng), r)
-            found.append(max(self.rate(x, r, disturbance), self.rate(x, r, -disturbance)))
-        return np.array(found)
+            rates.append(max(self.rate(x, r, disturbance), self.rate(x, r, -disturbance)))
+        return np.array(rates)
 
     def run(self, x, done):
         """Return the time and state where `done(t, x, ||x||_d)`; the poles scale with r^-mu, and so do the RK4 steps."""

@@ -28,12 +28,12 @@ def bounded(L, size=1.0):
 def test_center_is_the_known_one(gap):
     """X < M: t X^-1 + X^-1 = (M - X)^-1 at the center, so that X = M (t + 1)/(t + 2), t = 4/gap."""
     X, sides = bounded(np.eye(2))
-    found = center(X, sides, UNIT, gap)
-    assert found is not None
-    np.testing.assert_allclose(X.at(found), ELLIPSE * (4 / gap + 1) / (4 / gap + 2), rtol=1e-9)
-    assert 0.0 < np.linalg.slogdet(ELLIPSE)[1] - np.linalg.slogdet(X.at(found))[1] < gap
-    again: Any = center(X, sides, found, gap, near=True)
-    np.testing.assert_allclose(again, found, rtol=1e-10)
+    point = center(X, sides, UNIT, gap)
+    assert point is not None
+    np.testing.assert_allclose(X.at(point), ELLIPSE * (4 / gap + 1) / (4 / gap + 2), rtol=1e-9)
+    assert 0.0 < np.linalg.slogdet(ELLIPSE)[1] - np.linalg.slogdet(X.at(point))[1] < gap
+    again: Any = center(X, sides, point, gap, near=True)
+    np.testing.assert_allclose(again, point, rtol=1e-10)
 
 
 def test_coordinates_do_not_matter():
@@ -45,9 +45,9 @@ def test_coordinates_do_not_matter():
 def test_a_point_inside_is_found_where_there_is_one():
     X, sides = bounded(np.eye(2), size=1e-2)
     assert inside(X, sides, 1e-3 * UNIT) is not None
-    found = inside(X, sides, UNIT)
-    assert found is not None
-    assert min(np.linalg.eigvalsh(side.at(found))[0] for side in sides) > 0.0
+    point = inside(X, sides, UNIT)
+    assert point is not None
+    assert min(np.linalg.eigvalsh(side.at(point))[0] for side in sides) > 0.0
     assert center(X, sides, UNIT, 1e-6) is None
     empty = Affine(-2.0 * ELLIPSE, SLOPES)  # X > 2 M besides
     assert inside(X, [*sides, empty], UNIT) is None

@@ -83,7 +83,7 @@ def test_settling_bound_shrinks_with_the_state_and_is_zero_at_the_origin(design)
 
 
 @pytest.mark.parametrize(
-    ("x", "found"),
+    ("x", "message"),
     [
         ([0.1, 0.0], r"must be 4 numbers, theta, delta, .*, found shape \(2,\)"),
         ([0.1, 0.0, np.nan, 0.0], "must be finite, found nan for theta_dot"),
@@ -91,8 +91,8 @@ def test_settling_bound_shrinks_with_the_state_and_is_zero_at_the_origin(design)
     ],
 )
 @pytest.mark.parametrize("function", [norm_of, settling_time_bound])
-def test_state_that_is_none_is_refused(design, function, x, found):
-    with pytest.raises(UserError, match=f"^x {found}"):
+def test_state_that_is_none_is_refused(design, function, x, message):
+    with pytest.raises(UserError, match=f"^x {message}"):
         function(design, x)
 
 
@@ -196,12 +196,12 @@ def generator_of(design):
 def test_one_part_in_a_billion_beyond_the_proof_is_refused(seed):
     """Two and three inputs: alpha, or a gain, wrong by 1e-9 of what P proves; as much within it is accepted."""
     case = drawn(seed, units=False)
-    found = inverse_design(case.system, Options(alpha=case.alpha, u_max=case.u_max.tolist()))
-    alpha = largest_proven(found)
-    assert found.alpha < alpha
-    assert replace(found, alpha=alpha * (1 - 1e-9)).certificate.decrease > 0.0
+    design = inverse_design(case.system, Options(alpha=case.alpha, u_max=case.u_max.tolist()))
+    alpha = largest_proven(design)
+    assert design.alpha < alpha
+    assert replace(design, alpha=alpha * (1 - 1e-9)).certificate.decrease > 0.0
     with pytest.raises(CertificateError, match="<= 0 fails: margin"):
-        replace(found, alpha=alpha * (1 + 1e-9))
+        replace(design, alpha=alpha * (1 + 1e-9))
 
 
 def test_margin_of_zero_is_refused_and_the_next_number_is_not():

@@ -107,7 +107,7 @@ def test_a_measurement_that_is_none_stops_it_until_reset(arm):
 
 
 @pytest.mark.parametrize(
-    ("y", "found"),
+    ("y", "message"),
     [
         ([1.0], r"shape \(1,\)"),
         ([1.0, 2.0, 3.0], r"shape \(3,\)"),
@@ -118,8 +118,8 @@ def test_a_measurement_that_is_none_stops_it_until_reset(arm):
         (None, "None"),
     ],
 )
-def test_measured_outputs_that_are_not_as_many_numbers_are_refused(arm, y, found):
-    with pytest.raises(UserError, match=f"y must be 2 numbers, shoulder, elbow, found {found}$"):
+def test_measured_outputs_that_are_not_as_many_numbers_are_refused(arm, y, message):
+    with pytest.raises(UserError, match=f"y must be 2 numbers, shoulder, elbow, found {message}$"):
         Controller(arm)(y)
 
 

@@ -54,9 +54,9 @@ def cart(m: float = 1.0, **changes):
 
 def test_pendulums_own_filter_comes_out_of_its_resolution_and_a_bandwidth(pendulum):
     """Its noises were chosen by hand; those of 100 rad/s are nearly the same ones."""
-    found = estimator(replace(pendulum, system=pendulum.system.changed(bandwidth=100.0)))
-    np.testing.assert_allclose(found.M[[0, 1, 2, 3, 4, 6]], PUBLISHED_M, rtol=0.1)
-    assert not found.M[5].any()  # no bias of theta
+    kalman = estimator(replace(pendulum, system=pendulum.system.changed(bandwidth=100.0)))
+    np.testing.assert_allclose(kalman.M[[0, 1, 2, 3, 4, 6]], PUBLISHED_M, rtol=0.1)
+    assert not kalman.M[5].any()  # no bias of theta
 
 
 def test_without_a_bandwidth_three_times_the_fastest_pole_is_taken(pendulum):
@@ -79,10 +79,10 @@ def test_variance_is_that_of_rounding_to_counts_and_of_noise():
 def test_disturbance_is_estimated_with_the_bandwidth_whatever_the_mass_and_the_sensor(omega):
     """The step of a force is told to 1 - 1/e within the time of the slowest pole; poles of magnitude omega."""
     for m, resolution in ((1.0, 1e-3), (50.0, 1e-3), (1.0, 1.0)):
-        found = estimator(cart(m, resolutions=[resolution], bandwidth=omega))
-        F = np.block([[found.F, found.G], [np.zeros((1, 2)), np.ones((1, 1))]])
+        kalman = estimator(cart(m, resolutions=[resolution], bandwidth=omega))
+        F = np.block([[kalman.F, kalman.G], [np.zeros((1, 2)), np.ones((1, 1))]])
         C = np.array([[1.0, 0.0, 0.0]])
-        poles = np.linalg.eigvals((np.eye(3) - found.M[:3] @ C) @ F)
+        poles = np.linalg.eigvals((np.eye(3) - kalman.M[:3] @ C) @ F)
         np.testing.assert_allclose(np.abs(np.log(poles)) / 1e-3, omega, rtol=0.5)
 
 
@@ -95,9 +95,9 @@ def test_disturbances_are_left_out_on_demand():
         "tank has no Kalman filter: 2 disturbances and biases cannot be told from 1 measured output; "
         "bandwidth = 0 in the system leaves the disturbances out"
     )
-    found = estimator(Design(tank.changed(bandwidth=0.0), np.eye(1), mu=1.0, alpha=0.1))
-    assert 0.0 < found.M[0, 0] < 1.0
-    assert not found.M[1:3].any()
+    kalman = estimator(Design(tank.changed(bandwidth=0.0), np.eye(1), mu=1.0, alpha=0.1))
+    assert 0.0 < kalman.M[0, 0] < 1.0
+    assert not kalman.M[1:3].any()
 
 
 def test_state_that_cannot_be_observed_is_refused_by_name():

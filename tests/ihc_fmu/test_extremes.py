@@ -115,18 +115,18 @@ def test_norm_and_laws_are_right_for_states_of_every_size(mu, discretization, co
         inputs = (*x, 0.0)
         assert unit.step(k * H, H, inputs) == []
         assert native.step(k * H, H, **dict(zip(INPUTS, inputs, strict=True))) == unit.outputs()
-        found = dict(zip(OUTPUTS, unit.outputs(), strict=True))
-        r, z = found["homogeneous_norm"], reference.chain(x)
+        values = dict(zip(OUTPUTS, unit.outputs(), strict=True))
+        r, z = values["homogeneous_norm"], reference.chain(x)
         if any(x):
             below, above = (
                 reference.squared_norm(z, mu, reference.mp.mpf(r) * f) for f in (1 - TOLERANCE, 1 + TOLERANCE)
             )
             assert below > 1 > above
-        assert found["homogeneous_norm_used"] == min(B_MAX, max(A_MIN, r))
-        u = max(-1e300, min(1e300, reference.control(x, mu, found["homogeneous_norm_used"], h)))
-        assert abs(found["voltage"] - u) <= TOLERANCE * abs(u)
+        assert values["homogeneous_norm_used"] == min(B_MAX, max(A_MIN, r))
+        u = max(-1e300, min(1e300, reference.control(x, mu, values["homogeneous_norm_used"], h)))
+        assert abs(values["voltage"] - u) <= TOLERANCE * abs(u)
         interval = (A_MIN, B_MAX)
         for _ in range(2):
             interval = bisection_update(block_state(unit.design, list(x)).polynomial, mu, interval, A_MIN, B_MAX, 60)
-        assert interval[1] == pytest.approx(found["homogeneous_norm_used"], rel=TOLERANCE)
+        assert interval[1] == pytest.approx(values["homogeneous_norm_used"], rel=TOLERANCE)
     native.slave.freeInstance()

@@ -46,8 +46,8 @@ def test_nearest_gain_is_the_same_in_all_units():
     K_i = -Gamma @ B.T @ P + 0.3 * rng.normal(size=(2, 5))
     x, u = 10 ** rng.uniform(-3, 3, 5), 10 ** rng.uniform(-3, 3, 2)
     expected = nearest(K_i, B, P, *ones)
-    found = nearest(K_i * u[:, None] / x, B * x[:, None] / u, P / x[:, None] / x, x, u)
-    np.testing.assert_allclose(found / u[:, None] / u, expected, rtol=1e-9)
+    nearest_gain = nearest(K_i * u[:, None] / x, B * x[:, None] / u, P / x[:, None] / x, x, u)
+    np.testing.assert_allclose(nearest_gain / u[:, None] / u, expected, rtol=1e-9)
 
 
 # The proof
@@ -135,8 +135,8 @@ def test_constant_disturbance_leaves_no_error(law, start, integral):
     """v ends at what takes the disturbance away; without integral action an error stays."""
     disturbance = np.array([0.3, -0.2])
     gain: Any = "direct" if integral == "direct" else -np.array([[8.0, 3.0, 2.0, 1.0], [3.0, 3.0, 1.0, 0.6]])
-    found = synthesize(arm(integral=gain), 0.5, 0.3, u_max=[3.0, 3.0])
-    x, v = run(Controller(found, law=law, **start), ARM, np.zeros(4), 25.0, disturbance)
+    design = synthesize(arm(integral=gain), 0.5, 0.3, u_max=[3.0, 3.0])
+    x, v = run(Controller(design, law=law, **start), ARM, np.zeros(4), 25.0, disturbance)
     assert np.abs(x).max() > 1e-3
     assert np.abs(x[-1]).max() < 1e-4
     np.testing.assert_allclose(v[-1], -disturbance, atol=1e-3)
@@ -154,8 +154,8 @@ def test_saturated_input_does_not_wind_up():
         "states": ("position", "speed"),
     }
     system = System(**entries, lower=-np.ones(1), upper=np.ones(1), integral="direct").with_lqr(np.ones(2), np.ones(1))
-    found = synthesize(system, 0.5, 0.1)
-    x, v = run(Controller(found, a_min=0.1, b_max=1.0), entries, np.array([-20.0, 0.0]), 120.0, np.array([0.4]))
+    design = synthesize(system, 0.5, 0.1)
+    x, v = run(Controller(design, a_min=0.1, b_max=1.0), entries, np.array([-20.0, 0.0]), 120.0, np.array([0.4]))
     assert x[:, 0].max() < 2.0
     assert np.abs(v).max() < 1.0
     assert np.abs(x[-1]).max() < 1e-6
@@ -164,10 +164,10 @@ def test_saturated_input_does_not_wind_up():
 
 def test_limited_norm_one_is_the_linear_pi_controller():
     """Its eigenvalues are stable for every Gamma > 0: the last step of the proof at r = 1."""
-    found = synthesize(arm(integral="direct"), 0.5, 0.3)
-    assert found.integral is not None
+    design = synthesize(arm(integral="direct"), 0.5, 0.3)
+    assert design.integral is not None
     poles = np.linalg.eigvals(
-        np.block([[found.A + found.B @ found.K, found.B], [found.integral.K_i, np.zeros((2, 2))]])
+        np.block([[design.A + design.B @ design.K, design.B], [design.integral.K_i, np.zeros((2, 2))]])
     )
     assert poles.real.max() < 0.0
 
@@ -177,31 +177,31 @@ def test_limited_norm_one_is_the_linear_pi_controller():
 
 def test_direct_gain_makes_both_poles_of_a_first_order_model_equal():
     system = System(A=np.array([[0.5]]), B=np.array([[2.0]]), K=np.array([[-3.25]]), integral="direct")
-    found = inverse_design(system, Options(mu=0.5, alpha=1.0, u_max=7.0))
-    assert found.integral is not None
-    poles = np.linalg.eigvals(np.array([[0.5 - 6.5, 2.0], [found.integral.K_i[0, 0], 0.0]]))
+    design = inverse_design(system, Options(mu=0.5, alpha=1.0, u_max=7.0))
+    assert design.integral is not None
+    poles = np.linalg.eigvals(np.array([[0.5 - 6.5, 2.0], [design.integral.K_i[0, 0], 0.0]]))
     # A + B K_h = -6: K_0 = -1/4 takes A away, and K_h is what remains
     np.testing.assert_allclose(poles, [-3.0, -3.0], atol=1e-4)
 
 
 def test_direct_gain_does_not_depend_on_the_scale_of_P():
-    found = synthesize(arm(integral="direct"), 0.5, 0.3)
-    smaller = found.scaled_to(u_max=0.1)
-    assert found.integral is not None
+    design = synthesize(arm(integral="direct"), 0.5, 0.3)
+    smaller = design.scaled_to(u_max=0.1)
+    assert design.integral is not None
     assert smaller.integral is not None
-    np.testing.assert_allclose(smaller.integral.K_i, found.integral.K_i, rtol=1e-9)
+    np.testing.assert_allclose(smaller.integral.K_i, design.integral.K_i, rtol=1e-9)
 
 
 def test_file_holds_it_and_proves_it_again(tmp_path):
-    found = synthesize(arm(integral="direct"), 0.5, 0.3)
-    found.save(tmp_path / "arm.json")
+    design = synthesize(arm(integral="direct"), 0.5, 0.3)
+    design.save(tmp_path / "arm.json")
     again = Design.load(tmp_path / "arm.json")
-    assert found.integral is not None
+    assert design.integral is not None
     assert again.integral is not None
-    np.testing.assert_array_equal(again.integral.K_i, found.integral.K_i)
+    np.testing.assert_array_equal(again.integral.K_i, design.integral.K_i)
     derived = json.loads((tmp_path / "arm.json").read_text())["derived"]
-    np.testing.assert_array_equal(derived["K_i"], found.integral.K_i)
-    np.testing.assert_allclose(found.integral.K_i, -np.array(derived["Gamma"]) @ found.B.T @ found.P)
+    np.testing.assert_array_equal(derived["K_i"], design.integral.K_i)
+    np.testing.assert_allclose(design.integral.K_i, -np.array(derived["Gamma"]) @ design.B.T @ design.P)
 
 
 @pytest.mark.parametrize("integral", ["direct", [[-8.0, -3.0, -2.0, -1.0], [-3.0, -3.0, -1.0, -0.6]]])

@@ -88,8 +88,8 @@ def test_high_orders_are_designed(n, mu):
     """Integrator chains with poles -2, -3, ...; the designs prove themselves."""
     A, b, k_lin = np.eye(n, k=1), np.eye(n)[-1], -np.poly(-np.arange(2.0, 2.0 + n))[::-1][:-1]
     alpha = 0.5 * largest_alpha(system(A, b, k_lin), mu)
-    found = inverse_design(system(A, b, k_lin), Options(mu=mu, alpha=alpha, u_max=10.0))
-    assert found.u_max == pytest.approx(10.0, rel=1e-3)
+    design = inverse_design(system(A, b, k_lin), Options(mu=mu, alpha=alpha, u_max=10.0))
+    assert design.u_max == pytest.approx(10.0, rel=1e-3)
 
 
 @pytest.mark.parametrize("alpha", [0.2, 0.5, 0.7, 1.0])

@@ -39,7 +39,7 @@ def test_gain_is_that_of_the_riccati_equation(n, m, p):
     """SciPy's solution for what is estimated, noise by quadrature over a sample; rows of what is left out are 0."""
     A, B, C = model(n, m, p)
     w = noise(m, p)
-    found = kalman_filter(A, B, C, H, w)
+    kalman = kalman_filter(A, B, C, H, w)
     kept = [*range(n + m), n + m + p - 1]
     F, Q, seen = whole(A, B, C, w)
     F, Q, seen = F[np.ix_(kept, kept)], Q[np.ix_(kept, kept)], seen[:, kept]
@@ -49,27 +49,27 @@ def test_gain_is_that_of_the_riccati_equation(n, m, p):
     )
     R = np.diag(w.outputs)
     X = solve_discrete_are(expm(F * H).T, seen.T, Q_h, R)
-    np.testing.assert_allclose(found.M[kept], X @ seen.T @ np.linalg.inv(seen @ X @ seen.T + R), rtol=1e-6, atol=1e-8)
-    assert not found.M[n + m : -1].any()
-    assert np.abs(np.linalg.eigvals((np.eye(len(kept)) - found.M[kept] @ seen) @ expm(F * H))).max() < 1.0
+    np.testing.assert_allclose(kalman.M[kept], X @ seen.T @ np.linalg.inv(seen @ X @ seen.T + R), rtol=1e-6, atol=1e-8)
+    assert not kalman.M[n + m : -1].any()
+    assert np.abs(np.linalg.eigvals((np.eye(len(kept)) - kalman.M[kept] @ seen) @ expm(F * H))).max() < 1.0
 
 
 def test_sampled_model_is_exact():
     A, B, C = model(4, 2, 3)
-    found = kalman_filter(A, B, C, H, noise(2, 3))
+    kalman = kalman_filter(A, B, C, H, noise(2, 3))
     held = expm(np.block([[A, B], [np.zeros((2, 6))]]) * H)
-    np.testing.assert_allclose(np.hstack([found.F, found.G]), held[:4], rtol=1e-13, atol=1e-15)
-    assert found.decay == pytest.approx(np.exp(-0.2 * H), rel=1e-15)
+    np.testing.assert_allclose(np.hstack([kalman.F, kalman.G]), held[:4], rtol=1e-13, atol=1e-15)
+    assert kalman.decay == pytest.approx(np.exp(-0.2 * H), rel=1e-15)
 
 
 def test_gain_of_a_random_walk_has_its_closed_form():
     """x+ = x + noise q h, y = x + noise r: M = (sqrt(1 + 4 r/(q h)) - 1) / (sqrt(1 + 4 r/(q h)) + 1) seen as p/(p + r)."""
     q, r = 0.3, 0.07
     w = Noise(inputs=[q], disturbances=[0.0], biases=[0.0], outputs=[r])
-    found = kalman_filter(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), H, w)
+    kalman = kalman_filter(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), H, w)
     prior = q * H / 2 + np.sqrt((q * H / 2) ** 2 + q * H * r)
-    assert found.M[0, 0] == pytest.approx(prior / (prior + r), rel=1e-12)
-    assert not found.M[1:].any()
+    assert kalman.M[0, 0] == pytest.approx(prior / (prior + r), rel=1e-12)
+    assert not kalman.M[1:].any()
 
 
 def test_what_is_noisier_is_trusted_less():
@@ -105,8 +105,8 @@ def test_what_no_output_sees_is_refused_by_name_unless_it_decays(unit):
     names = ["angle", "speed", "temperature", "disturbance", "bias"]
     with pytest.raises(UserError, match=r"^no measured output tells angle from nothing$"):
         kalman_filter(A, B, C, H, w, names)
-    found = kalman_filter(A[1:, 1:], B[1:], C[:, 1:], H, w, names[1:])
-    assert found.M[0, 0] > 0.0
+    kalman = kalman_filter(A[1:, 1:], B[1:], C[:, 1:], H, w, names[1:])
+    assert kalman.M[0, 0] > 0.0
 
 
 def test_exponential_is_that_of_scipy():

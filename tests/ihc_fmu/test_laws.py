@@ -146,14 +146,14 @@ def test_norm_and_controls_are_those_of_the_authors_toolbox(hcs_cases, name):
         z = form.Phi @ x
         r = homogeneity.homogeneous_norm(homogeneity.norm_polynomial(design.Pz, z, design.exponents, mu), mu)
         clamped = min(1.0, max(0.3, r))
-        found = (
+        u = (
             r,
             *laws.implicit_homogeneous(design, r, x, z),
             *laws.implicit_homogeneous(design, clamped, x, z),
             *laws.implicit_homogeneous_semi(design, clamped, 1e-3, z),
         )
         expected = [v[key] for key in ("hnorm", "u_e_hpc", "u_e_hpc_clamp_0.3_1", "u_si_hpc_h1e-3_clamp_0.3_1")]
-        assert found == pytest.approx(expected, rel=1e-9)
+        assert u == pytest.approx(expected, rel=1e-9)
 
 
 def test_sliding_mode_switches_by_rho_across_its_surface_and_is_linear_on_it():

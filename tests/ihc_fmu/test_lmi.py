@@ -30,9 +30,9 @@ def chain(n, kind, beta=0.1) -> Problem:
     return Problem(closed, np.diag(np.arange(n - 1.0, -1.0, -1.0)), np.eye(n)[:, -1:], np.eye(n), np.eye(n), beta)
 
 
-def check(problem, found, mu, a):
+def check(problem, solution, mu, a):
     """The inequalities in the coordinates of the given problem, by eigenvalues of the numbers found."""
-    inverse = np.linalg.inv(found.problem.S)
+    inverse = np.linalg.inv(solution.problem.S)
     P = inverse.T @ inverse
     n = len(P)
     W = np.eye(n) + mu * problem.E
@@ -47,9 +47,9 @@ def check(problem, found, mu, a):
 def test_chains_of_integrators_are_found_at_full_degree(n, kind):
     problem = chain(n, kind)
     a = 0.02 * decay(problem)
-    found = search(problem, 1.0, a, Limit(60.0))
-    assert found.complete
-    check(problem, found, 1.0, a)
+    solution = search(problem, 1.0, a, Limit(60.0))
+    assert solution.complete
+    check(problem, solution, 1.0, a)
 
 
 @pytest.mark.parametrize("kind", ["equal", "butterworth", "spread"])
@@ -57,9 +57,9 @@ def test_what_is_infeasible_is_refuted_by_the_dual(kind):
     """Every w_i is at least 1, so that no alpha beyond the slowest pole has a solution; the dual shows it, and not more."""
     problem = chain(4, kind)
     a = 1.01 * decay(problem)
-    found = search(problem, 1.0, a, Limit(20.0))
-    assert not found.complete
-    assert is_refuted(found.problem, 1.0, a)
+    solution = search(problem, 1.0, a, Limit(20.0))
+    assert not solution.complete
+    assert is_refuted(solution.problem, 1.0, a)
     feasible = search(problem, 1.0, 0.02 * decay(problem), Limit(20.0))
     assert not is_refuted(feasible.problem, 1.0, 0.02 * decay(problem))
 
@@ -78,23 +78,23 @@ def test_a_part_of_a_system_is_refuted_though_another_is_feasible():
     E: Any = block_diag(slow.E + np.eye(2), fast.E)
     both = Problem(closed, E, np.eye(5)[:, [1, 4]], np.eye(5), np.eye(5), 0.1)
     assert search(both, 1.0, 0.02, Limit(20.0)).complete
-    found = search(both, 1.0, 0.9, Limit(20.0))
-    assert not found.complete
-    assert is_refuted(found.problem, 1.0, 0.9)
+    solution = search(both, 1.0, 0.9, Limit(20.0))
+    assert not solution.complete
+    assert is_refuted(solution.problem, 1.0, 0.9)
 
 
 def test_largest_alpha_of_the_double_integrator_is_that_of_a_scan():
     """Poles -1, -1, mu = 1: the largest a with a W' P + a P W <= -(A_cl' P + P A_cl), by eigenvalues for each P."""
     problem = chain(2, "equal", beta=1e-6)
-    found = search(problem, 1.0, np.inf, Limit(20.0), 1e-5)
+    solution = search(problem, 1.0, np.inf, Limit(20.0), 1e-5)
     p, q = (grid.ravel() for grid in np.meshgrid(np.linspace(0.0, 2.0, 401), np.linspace(0.0, 4.0, 401)))
     P = np.array([[np.ones_like(p), p], [p, q]]).transpose(2, 0, 1)
     W, closed = np.diag([2.0, 1.0]), problem.closed
     monotone, decrease = P @ W + W @ P, -(P @ closed + closed.T @ P)
     valid = (np.linalg.eigvalsh(monotone)[:, 0] > 1e-9) & (np.linalg.eigvalsh(decrease)[:, 0] > 0.0)
     rates = np.linalg.eigvals(np.linalg.solve(monotone[valid], decrease[valid])).real.min(axis=1)
-    assert found.a == pytest.approx(rates.max(), rel=1e-2)
-    assert found.a > rates.max() * (1 - 1e-4)
+    assert solution.a == pytest.approx(rates.max(), rel=1e-2)
+    assert solution.a > rates.max() * (1 - 1e-4)
 
 
 def test_coordinates_change_neither_inequality_nor_states():
@@ -120,8 +120,8 @@ def test_search_stops_in_time_and_tells_how_it_goes():
 
 def test_search_for_an_unstable_loop_finds_nothing():
     problem = chain(3, "equal")
-    found = search(replace(problem, closed=-problem.closed), 1.0, 0.1, Limit(20.0))
-    assert (found.complete, found.mu, found.a) == (False, 0.0, 0.0)
+    solution = search(replace(problem, closed=-problem.closed), 1.0, 0.1, Limit(20.0))
+    assert (solution.complete, solution.mu, solution.a) == (False, 0.0, 0.0)
 
 
 def test_solver_without_a_solution_is_reported_as_infeasible():

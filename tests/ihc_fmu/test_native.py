@@ -35,10 +35,10 @@ LAW, SOLVER, DISCRETIZATION, SOURCE = {"LC": 1, "SMC": 2, "IHC": 3}, (1, 2), (1,
 FILTER, INPUT, KALMAN = SOURCE
 
 
-def agree(found, expected):
+def agree(actual, expected):
     """NaN agrees with NaN."""
     tolerance = 0.0 if EXACT else 1e-12
-    np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(np.array(actual, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
 
 
 def smooth(start, end, count):
@@ -72,12 +72,12 @@ def by_name(row):
 def follow(pair, rows, step=STEP, start=0):
     """Step both through the rows, and return the native one's outputs by name, an array each."""
     native, python = pair
-    found = []
+    outputs = []
     for k, row in enumerate(rows, start):
         python.step(k * step, step, row)
-        found.append(native.step(k * step, step, **by_name(row)))
-        agree(found[-1], python.outputs())
-    return dict(zip(OUTPUTS, np.array(found, float).T, strict=True))
+        outputs.append(native.step(k * step, step, **by_name(row)))
+        agree(outputs[-1], python.outputs())
+    return dict(zip(OUTPUTS, np.array(outputs, float).T, strict=True))
 
 
 def phases(modes):
@@ -134,9 +134,9 @@ def pair(instance, controller):
 )
 def test_every_law_and_estimator_is_the_same_through_all_modes(law, solver, discretization, source, pair):
     both = pair(law=LAW[law], norm_solver=solver, discretization=discretization, velocity_source=source)
-    found = follow(both, MEASURED)
-    assert phases(found["mode"]) == [Mode.SWING_UP, Mode.STABILIZING, Mode.SWING_UP, Mode.STABILIZING]
-    assert len(set(found["voltage"])) > 300
+    outputs = follow(both, MEASURED)
+    assert phases(outputs["mode"]) == [Mode.SWING_UP, Mode.STABILIZING, Mode.SWING_UP, Mode.STABILIZING]
+    assert len(set(outputs["voltage"])) > 300
 
 
 @pytest.mark.parametrize("mu", [0.5, 0.0])
@@ -168,7 +168,7 @@ def test_kalman_filter_is_the_same_with_and_without_compensation(pair):
 def test_samples_within_and_between_steps_are_the_same_in_both(sample_time, step, source, pair, start_values):
     gain = kalman_values(start_values, sample_time)
     both = pair(sample_time=sample_time, velocity_source=source, **gain)
-    found = follow(both, MEASURED[::2], step)
+    outputs = follow(both, MEASURED[::2], step)
     assert [message for _, _, message in both[0].log] == (
         []
         if step <= sample_time
@@ -180,8 +180,8 @@ def test_samples_within_and_between_steps_are_the_same_in_both(sample_time, step
     if step > sample_time:
         return
     ratio = round(sample_time / step)
-    assert all(k % ratio == 0 for k in np.flatnonzero(np.diff(found["voltage"])) + 1)
-    assert len(set(found["voltage"])) > 10
+    assert all(k % ratio == 0 for k in np.flatnonzero(np.diff(outputs["voltage"])) + 1)
+    assert len(set(outputs["voltage"])) > 10
 
 
 @pytest.mark.parametrize("start_time", [12345.678, -3.5, 1e7])
@@ -198,9 +198,9 @@ def test_wrapped_sensor_is_the_same_in_both_and_as_good_as_one_that_is_not(wrap,
     rows = [(0.1, 3.0 + 25.0 * math.sin(3 * k * STEP), 0.0, 75.0 * math.cos(3 * k * STEP), 0.0) for k in range(700)]
     wrapped = [(theta, wrap(delta), *rest) for theta, delta, *rest in rows]
     assert sum(abs(b[1] - a[1]) > math.pi for a, b in itertools.pairwise(wrapped)) > 3
-    found = follow(pair(wrapped[0], velocity_source=source), wrapped)
+    outputs = follow(pair(wrapped[0], velocity_source=source), wrapped)
     plain = follow(pair(rows[0], velocity_source=source), rows)
-    np.testing.assert_allclose(found["delta_dot_estimate"], plain["delta_dot_estimate"], atol=1e-6)
+    np.testing.assert_allclose(outputs["delta_dot_estimate"], plain["delta_dot_estimate"], atol=1e-6)
 
 
 def test_idle_controllers_are_the_same(pair):
@@ -319,11 +319,11 @@ def follow_a_spike(pair, where, name, value, **changes):
     """A single measurement beyond all reason."""
     rows = MEASURED[where : where + 40]
     rows[10] = tuple((by_name(rows[10]) | {name: value}).values())
-    found = follow(pair(rows[0], **changes), rows)
-    assert np.isfinite(found["voltage"]).all()
-    assert (abs(found["voltage"]) <= 10.0).all()
-    assert set(found["voltage"][found["mode"] == Mode.FAULT]) <= {0.0}
-    return found
+    outputs = follow(pair(rows[0], **changes), rows)
+    assert np.isfinite(outputs["voltage"]).all()
+    assert (abs(outputs["voltage"]) <= 10.0).all()
+    assert set(outputs["voltage"][outputs["mode"] == Mode.FAULT]) <= {0.0}
+    return outputs
 
 
 @pytest.mark.parametrize("source", SOURCE)
@@ -336,13 +336,13 @@ def test_enormous_measurement_faults_both_or_neither(name, law, source, pair):
 
 
 def test_enormous_measurement_can_fault_both(pair):
-    found = follow_a_spike(pair, HANGING, "theta", 1e200)
-    assert (found["mode"][-1], found["fault"][-1]) == (Mode.FAULT, Fault.NON_FINITE_CONTROL)
+    outputs = follow_a_spike(pair, HANGING, "theta", 1e200)
+    assert (outputs["mode"][-1], outputs["fault"][-1]) == (Mode.FAULT, Fault.NON_FINITE_CONTROL)
 
 
 def test_kalman_filter_that_overflows_leaves_the_same_estimates(pair):
-    found = follow_a_spike(pair, UPRIGHT, "theta", 1e79, velocity_source=KALMAN)
-    assert found["fault"][-1] == Fault.NON_FINITE_CONTROL
+    outputs = follow_a_spike(pair, UPRIGHT, "theta", 1e79, velocity_source=KALMAN)
+    assert outputs["fault"][-1] == Fault.NON_FINITE_CONTROL
 
 
 @pytest.mark.parametrize("where", [HANGING, UPRIGHT], ids=["hanging", "upright"])

@@ -37,8 +37,8 @@ def of_toolbox(name):
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_lowest_degree_is_that_of_the_authors_toolbox(name):
     A, C, L, form, part = of_toolbox(name)
-    found = least_degree(A, C, L, form, np.ones(len(A)))
-    assert found == pytest.approx(part["nu_min"], rel=1e-6)
+    degree = least_degree(A, C, L, form, np.ones(len(A)))
+    assert degree == pytest.approx(part["nu_min"], rel=1e-6)
 
 
 def held(A, C, form, L, v, limits) -> Any:
@@ -67,9 +67,9 @@ def test_step_of_both_units_is_that_of_the_authors_toolbox(name, both):  # noqa:
             values, y = held(A, C, form, L, v, limits)
             pair = both(values)
             pair.step(row(y))
-            found = pair.step(row(y))
+            outputs = pair.step(row(y))
             expected = np.ravel(v[key])
-            estimate = [found[entry] for entry in numbered("state_estimate", len(A))]
+            estimate = [outputs[entry] for entry in numbered("state_estimate", len(A))]
             np.testing.assert_allclose(estimate, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
@@ -96,39 +96,39 @@ GAIN = -np.array([[40.0, 5.0], [5.0, 60.0], [500.0, 100.0], [0.0, 1000.0]])
 
 def test_gain_is_the_linear_one_where_it_is_meant_to_be():
     for rest, q in (({}, None), ({"q_linear": 0.02}, 0.02), ({"q_max": 0.3}, 0.3)):
-        found = observer_of({"L": GAIN, **rest})
-        np.testing.assert_allclose(gain_at(found, q or found.q_max), GAIN, rtol=1e-9, atol=1e-9)
-    assert found.q_min == pytest.approx(0.003)
+        observer = observer_of({"L": GAIN, **rest})
+        np.testing.assert_allclose(gain_at(observer, q or observer.q_max), GAIN, rtol=1e-9, atol=1e-9)
+    assert observer.q_min == pytest.approx(0.003)
 
 
 def test_weights_give_the_dual_of_the_linear_quadratic_regulator():
     """A S + S A' - S C' R^-1 C S + Q = 0, L = -S C' R^-1."""
-    found = observer_of({"Q": [1.0, 1.0, 50.0, 50.0], "R": [1e-3, 2e-3], "q_linear": 1.0})
+    observer = observer_of({"Q": [1.0, 1.0, 50.0, 50.0], "R": [1e-3, 2e-3], "q_linear": 1.0})
     A, C, R = ARM["A"], np.eye(2, 4), np.diag([1e-3, 2e-3])
     S = solve_continuous_are(A.T, C.T, np.diag([1.0, 1.0, 50.0, 50.0]), R)
-    np.testing.assert_allclose(found.L, -S @ C.T @ np.linalg.inv(R), rtol=1e-8)
-    assert np.linalg.eigvals(A + found.L @ C).real.max() < 0.0
+    np.testing.assert_allclose(observer.L, -S @ C.T @ np.linalg.inv(R), rtol=1e-8)
+    assert np.linalg.eigvals(A + observer.L @ C).real.max() < 0.0
 
 
 def test_poles_are_those_of_the_linear_observer():
     poles = [-30.0, -20.0, -25.0, -15.0]
-    found = observer_of({"poles": poles})
-    L = gain_at(found, found.q_max)
+    observer = observer_of({"poles": poles})
+    L = gain_at(observer, observer.q_max)
     np.testing.assert_allclose(np.sort(np.linalg.eigvals(ARM["A"] + L @ np.eye(2, 4)).real), np.sort(poles), rtol=1e-6)
 
 
 def test_without_a_gain_it_has_that_of_the_kalman_filter():
-    found = observer_of({}, resolutions=[1e-3, 1e-3])
-    L = gain_at(found, found.q_max)
+    observer = observer_of({}, resolutions=[1e-3, 1e-3])
+    L = gain_at(observer, observer.q_max)
     assert np.linalg.eigvals(ARM["A"] + L @ np.eye(2, 4)).real.max() < -1.0
-    assert found.nu < 0.0
-    assert found.q_min >= 3 * 1e-3 * np.sqrt(2 / 12)
+    assert observer.nu < 0.0
+    assert observer.q_min >= 3 * 1e-3 * np.sqrt(2 / 12)
 
 
 @pytest.mark.parametrize("wish", [{"L": GAIN}, {}, {"Q": [1.0, 1.0, 500.0, 500.0], "R": [1e-4, 1e-4]}])
 def test_estimate_converges_and_the_law_with_it(wish):
-    found = synthesize(arm(ObserverWish(**wish), resolutions=[0.0, 0.0]), 1.0, 0.3)
-    controller = Controller(found, a_min=0.3)
+    design = synthesize(arm(ObserverWish(**wish), resolutions=[0.0, 0.0]), 1.0, 0.3)
+    controller = Controller(design, a_min=0.3)
     F, G = discrete(ARM)
     x = np.array([0.02, -0.01, 0.05, 0.0])
     for _ in range(8000):
@@ -186,10 +186,10 @@ def test_what_makes_no_observer_is_refused(wish, message):
 
 
 def test_a_model_that_is_not_observable_is_refused():
-    found = synthesize(arm(ObserverWish(), C=np.array([[0.0, 0.0, 1.0, 0.0]]), outputs=("rate",), A=np.diag([1.0, 1.0], -2)
+    design = synthesize(arm(ObserverWish(), C=np.array([[0.0, 0.0, 1.0, 0.0]]), outputs=("rate",), A=np.diag([1.0, 1.0], -2)
                        + np.diag([1.0, 1.0], 2)), 1.0, 0.3)  # fmt: skip
     with pytest.raises(UserError, match=r"needs outputs that tell all states, \(A, C\) observable"):
-        homogeneous_observer(found)
+        homogeneous_observer(design)
 
 
 @pytest.mark.parametrize(

@@ -14,12 +14,12 @@ from tests.ihc_fmu.test_observer import GAIN, arm, gain_at
 def test_values_of_a_polynomial_lie_within_its_bernstein_coefficients():
     parts = [np.array([[c]]) for c in (1.0, 2.0, -3.0, 0.5)]
     a, b = 1.0, 3.0
-    found = bernstein(parts, a, b).ravel()
+    coefficients = bernstein(parts, a, b).ravel()
     values = [sum(part[0, 0] * s**j for j, part in enumerate(parts)) for s in np.linspace(a, b, 50)]
-    assert found[[0, -1]] == pytest.approx([values[0], values[-1]])
-    assert found.min() <= min(values)
-    assert max(values) <= found.max()
-    middle = found @ np.array([1, 3, 3, 1]) / 8
+    assert coefficients[[0, -1]] == pytest.approx([values[0], values[-1]])
+    assert coefficients.min() <= min(values)
+    assert max(values) <= coefficients.max()
+    middle = coefficients @ np.array([1, 3, 3, 1]) / 8
     assert middle == pytest.approx(sum(part[0, 0] * 2.0**j for j, part in enumerate(parts)))
 
 

@@ -52,8 +52,8 @@ def test_regulator_that_does_not_stabilize_is_refused(Q):
 )
 def test_regulator_of_a_badly_scaled_plant_is_found_without_a_warning(A, B, K, recwarn):
     given = {"A": A, "B": B, "lqr": {"Q": [1, 1], "R": [1]}}
-    found: Any = System.from_dict(given).K
-    np.testing.assert_allclose(found, K, rtol=1e-9)
+    gain: Any = System.from_dict(given).K
+    np.testing.assert_allclose(gain, K, rtol=1e-9)
     assert not recwarn
 
 

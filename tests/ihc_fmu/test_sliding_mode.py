@@ -27,8 +27,8 @@ def test_sliding_motion_has_the_prescribed_poles_and_the_surface_is_normalized(n
 def test_fitted_controller_has_its_documented_numbers(paper):
     A, b, _ = paper
     smc = fitted_smc(A, b)
-    found = sorted_poles(A + np.outer(b, smc.k_eq))
-    np.testing.assert_allclose(found, [-19.3, -12.6 - 17.0j, -12.6 + 17.0j, -1.08], rtol=1e-6)
+    poles = sorted_poles(A + np.outer(b, smc.k_eq))
+    np.testing.assert_allclose(poles, [-19.3, -12.6 - 17.0j, -12.6 + 17.0j, -1.08], rtol=1e-6)
     np.testing.assert_allclose(smc.k_eq, [1.65, -26.97, 1.70, -2.65], atol=0.005)
     assert (smc.c @ b, smc.rho) == (pytest.approx(1.0), 1.17)
 

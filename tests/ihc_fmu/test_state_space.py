@@ -46,12 +46,12 @@ def test_gain_has_the_sign_that_is_told(law, sign):
 def test_gain_of_another_toolbox_is_that_of_lqr_with_its_sign_told():
     model, Q, R = state_space(), np.diag([4.0, 1.0]), np.array([[0.5]])
     K, _, poles = control.lqr(model, Q, R)
-    found: Any = System.from_state_space(model, K, "u = -K x")
+    system: Any = System.from_state_space(model, K, "u = -K x")
     for law in ("u = K x", "u = +K x"):
-        np.testing.assert_array_equal(System.from_state_space(model, -K, law).K, found.K)
+        np.testing.assert_array_equal(System.from_state_space(model, -K, law).K, system.K)
     own: Any = System.from_state_space(model).with_lqr(Q, R)
-    np.testing.assert_allclose(found.K, own.K, rtol=1e-9)
-    np.testing.assert_allclose(np.sort(np.linalg.eigvals(found.A + found.B @ found.K)), np.sort(poles), rtol=1e-9)
+    np.testing.assert_allclose(system.K, own.K, rtol=1e-9)
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(system.A + system.B @ system.K)), np.sort(poles), rtol=1e-9)
 
 
 @pytest.mark.parametrize("law", [None, "", "u=-Kx", -1])

@@ -31,13 +31,13 @@ def test_defaults_are_the_device_at_rest_with_its_recommended_voltage():
 
 @pytest.mark.parametrize("name", PARAMETER_SETS)
 def test_named_set_becomes_a_plant_with_its_constants(name):
-    chosen = PARAMETER_SETS[name]
+    parameters = PARAMETER_SETS[name]
     values = INTERFACE.start_values(start_values(name))
-    assert QubeParameters(**{f.name: values[f.name] for f in fields(QubeParameters)}) == chosen.parameters
+    assert QubeParameters(**{f.name: values[f.name] for f in fields(QubeParameters)}) == parameters.parameters
     plant = QubePlant(values)
     c = plant.coefficients
-    assert plant.motor.k_e == (chosen.parameters.k_m if chosen.back_emf else 0.0)
-    assert (c.D_p, c.D_r) == (chosen.parameters.D_p, chosen.parameters.D_r)
+    assert plant.motor.k_e == (parameters.parameters.k_m if parameters.back_emf else 0.0)
+    assert (c.D_p, c.D_r) == (parameters.parameters.D_p, parameters.parameters.D_r)
 
 
 def test_set_matrices_turns_back_emf_and_pendulum_damping_off():

@@ -27,9 +27,9 @@ STEP = 1e-3
 INPUTS = [v.name for v in INTERFACE.of("input")]
 
 
-def agree(found, expected):
+def agree(actual, expected):
     tolerance = 0.0 if EXACT else 1e-12
-    np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(np.array(actual, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
 
 
 def random_inputs(rng):

@@ -69,11 +69,11 @@ def test_zero_counts_are_an_ideal_sensor(angle, offset):
 
 
 def test_random_bits_are_the_published_splitmix64_sequence():
-    state, found = 1234567, []
+    state, draws = 1234567, []
     for _ in range(5):
         state, bits = next_random(state)
-        found.append(bits)
-    assert found == [
+        draws.append(bits)
+    assert draws == [
         6457827717110365317,
         3203168211198807973,
         9817491932198370423,

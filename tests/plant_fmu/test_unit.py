@@ -61,15 +61,15 @@ def test_local_rates_are_the_slopes_of_the_trajectory(motor_model):
 
 
 def test_outputs_at_the_start_are_those_of_the_start_values():
-    found = outputs(plant(theta_0=0.1, delta_0=0.2, theta_dot_0=3.0, delta_dot_0=-4.0))
-    assert found.pop("current_dot") == 0.0
-    del found["theta_ddot"], found["delta_ddot"]
+    values = outputs(plant(theta_0=0.1, delta_0=0.2, theta_dot_0=3.0, delta_dot_0=-4.0))
+    assert values.pop("current_dot") == 0.0
+    del values["theta_ddot"], values["delta_ddot"]
     p, count = IDENT, 2 * pi / 2048
     current = -p.k_m * 3.0 / p.R_m
     tip_x, tip_z = p.L_r * 3.0 - p.L_p / 2 * cos(0.2) * -4.0, p.L_p / 2 * np.sin(0.2) * -4.0
     across = p.L_p / 2 * np.sin(0.2) * 3.0
     kinetic = (p.J_r * 3.0**2 + p.J_p * 4.0**2 + p.m_p * (tip_x**2 + tip_z**2 + across**2)) / 2
-    assert found == pytest.approx(
+    assert values == pytest.approx(
         {
             "theta": 0.1,
             "delta": 0.2,
@@ -86,9 +86,9 @@ def test_outputs_at_the_start_are_those_of_the_start_values():
 
 
 def test_default_plant_hangs_with_the_encoder_at_half_a_turn_and_the_energy_of_hanging():
-    found = outputs(plant())
-    assert found["delta_encoder"] == pytest.approx(pi, rel=1e-12)
-    assert found["energy"] == pytest.approx(-IDENT.m_p * IDENT.g_p * IDENT.L_p, rel=1e-12)
+    values = outputs(plant())
+    assert values["delta_encoder"] == pytest.approx(pi, rel=1e-12)
+    assert values["energy"] == pytest.approx(-IDENT.m_p * IDENT.g_p * IDENT.L_p, rel=1e-12)
 
 
 @pytest.mark.parametrize("motor_model", ["static", "inductance"])
@@ -124,9 +124,9 @@ def test_inductance_keeps_the_current_from_jumping():
 @pytest.mark.parametrize("limit", [10.0, 2.5])
 def test_amplifier_limits_the_sum_of_voltage_and_disturbance(voltage, disturbance, applied, limit):
     applied = min(applied, limit) if applied > 0 else max(applied, -limit)
-    found = run(plant(**MOVING, voltage_limit=limit), [(voltage, disturbance, 0.0)])
+    trajectory = run(plant(**MOVING, voltage_limit=limit), [(voltage, disturbance, 0.0)])
     expected = run(plant(**MOVING, voltage_limit=1e3), [(applied, 0.0, 0.0)])
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(trajectory, expected)
 
 
 @pytest.mark.parametrize("motor_model", ["static", "inductance"])

@@ -88,9 +88,9 @@ def test_accelerations_equal_the_lagrangian_derivation(p):
     for x, tau in zip(*random_states(200), strict=True):
         mass, right = equations(physical(p), x, tau)
         expected = np.linalg.solve(mass, right).ravel()
-        found = equation.accelerations(c, x[1], x[2], x[3], *tau)
+        accelerations = equation.accelerations(c, x[1], x[2], x[3], *tau)
         # relative to the norm: a single component may vanish by cancellation
-        assert np.linalg.norm(found - expected) <= 1e-11 * np.linalg.norm(expected)
+        assert np.linalg.norm(accelerations - expected) <= 1e-11 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("p", SETS)
@@ -152,9 +152,9 @@ def test_arrays_of_states_have_the_accelerations_of_each():
     c = RUBBING.coefficients
     states, torques = random_states(50)
     (_, delta, v, w), (tau, tau_p) = np.transpose(states), np.transpose(torques)
-    found = equation.solve(c, np.sin(delta), np.cos(delta), v, w, tau, tau_p)  # type: ignore[arg-type]
+    accelerations = equation.solve(c, np.sin(delta), np.cos(delta), v, w, tau, tau_p)  # type: ignore[arg-type]
     expected = [equation.accelerations(c, *x[1:], *t) for x, t in zip(states, torques, strict=True)]
-    np.testing.assert_allclose(np.transpose(found), expected, rtol=1e-12)
+    np.testing.assert_allclose(np.transpose(accelerations), expected, rtol=1e-12)
 
 
 def test_pendulum_on_a_heavy_arm_has_the_period_of_the_elliptic_integral():
@@ -189,8 +189,8 @@ def test_torque_of_the_inverse_gives_the_wanted_acceleration(p):
     c = p.coefficients
     for (_, delta, v, w), (wanted, _) in zip(*random_states(100), strict=True):
         tau = equation.arm_torque(c, delta, v, w, 1e3 * wanted)
-        found, _ = equation.accelerations(c, delta, v, w, tau, 0.0)
-        assert found == pytest.approx(1e3 * wanted, abs=1e-9)
+        acceleration, _ = equation.accelerations(c, delta, v, w, tau, 0.0)
+        assert acceleration == pytest.approx(1e3 * wanted, abs=1e-9)
 
 
 @pytest.mark.parametrize(("varpi_2", "regular"), [(0.0, True), (1.0 - 1e-8, True), (1.0 - 1e-11, False), (1.5, False)])

@@ -32,8 +32,8 @@ def test_fifth_degree_solution_has_the_error_of_simpsons_rule():
 @reproducible
 @given(st.floats(-4.0, 4.0))
 def test_one_step_of_a_linear_equation_is_the_truncated_exponential(z):
-    (found,) = rk4_step(lambda x: (z * x[0],), (1.0,), 1.0)
-    assert found == pytest.approx(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24, rel=1e-12, abs=1e-13)
+    (factor,) = rk4_step(lambda x: (z * x[0],), (1.0,), 1.0)
+    assert factor == pytest.approx(1 + z + z**2 / 2 + z**3 / 6 + z**4 / 24, rel=1e-12, abs=1e-13)
 
 
 def test_coupled_states_follow_the_exact_rotation():
@@ -51,6 +51,6 @@ def test_state_of_a_different_length_than_its_derivative_is_refused():
 def test_arrays_are_many_models_at_once():
     rates: Any = np.array([-1.0, 0.5, 2.0])
     ones: Any = np.ones(3)
-    found: Any = rk4_step(lambda x: (x[1], rates * x[0]), (ones, rates), 0.1)
+    states: Any = rk4_step(lambda x: (x[1], rates * x[0]), (ones, rates), 0.1)
     for i, rate in enumerate(rates.tolist()):
-        assert rk4_step(lambda x, rate=rate: (x[1], rate * x[0]), (1.0, rate), 0.1) == (found[0][i], found[1][i])
+        assert rk4_step(lambda x, rate=rate: (x[1], rate * x[0]), (1.0, rate), 0.1) == (states[0][i], states[1][i])

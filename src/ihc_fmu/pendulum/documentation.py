@@ -9,8 +9,8 @@ from ..design import Design
 
 def notes(design: Design, nominal: str) -> str:
     """Return the law's equations, the design's certificate and what the modes do."""
-    found = {k: v for k, v in design.certificate.as_dict().items() if k != "identities"}  # digits of rounding alone
-    margins = "\n".join(f"<tr><td>{escape(name)}</td><td>{value:.3g}</td></tr>" for name, value in found.items())
+    margins = {k: v for k, v in design.certificate.as_dict().items() if k != "identities"}  # digits of rounding alone
+    rows = "\n".join(f"<tr><td>{escape(name)}</td><td>{value:.3g}</td></tr>" for name, value in margins.items())
     return f"""<h2>Law</h2>
 <pre>LC    u = k_lin x,   x = (theta, delta, theta', delta')
 IHC   u = r^(1-mu) k d(-ln r) x - row x,   k = k_lin + row,   d(s) = exp(s Phi^-1 diag(1 + mu (n-i)) Phi)
@@ -25,5 +25,5 @@ nominal model), stabilizing, fault (0 V, latched; a measurement that is not fini
 <p>Margins recomputed from the numbers by eigenvalues; all are positive, and the relative residual of the identities (1)
 is at most 1e-8. From a state with norm r0 the ideal law reaches the origin within r0^mu/(mu alpha).</p>
 <table><tr><th>margin</th><th></th></tr>
-{margins}</table>
+{rows}</table>
 <p>Nominal model of swing-up and observer: parameter set <code>{escape(nominal)}</code>.</p>"""

@@ -20,8 +20,8 @@ inputs the ideal law brings x to 0. v stands still where its command is beyond a
 
 def notes(design: Design, estimator: str) -> str:
     """Return the law's equations, what the modes do, and the design's certificate; `estimator` as in the FMU's table."""
-    found = {k: v for k, v in design.certificate.as_dict().items() if k != "identities"}  # digits of rounding alone
-    margins = "\n".join(f"<tr><td>{escape(name)}</td><td>{value:.3g}</td></tr>" for name, value in found.items())
+    margins = {k: v for k, v in design.certificate.as_dict().items() if k != "identities"}  # digits of rounding alone
+    rows = "\n".join(f"<tr><td>{escape(name)}</td><td>{value:.3g}</td></tr>" for name, value in margins.items())
     states = ", ".join(escape(q.name) for q in design.system.states)
     inputs = ", ".join(escape(q.name) for q in design.system.inputs)
     integral = "" if design.integral is None else INTEGRAL
@@ -40,4 +40,4 @@ stabilizing, fault (the same commands, latched until reset; a measurement or a c
 origin within r0^mu/(mu alpha). What is proven is the law in continuous time on the linear model with the true state: not
 its sampling, its estimates or the limits of its inputs.</p>
 <table><tr><th>margin</th><th></th></tr>
-{margins}</table>"""
+{rows}</table>"""

@@ -209,9 +209,9 @@ class Shape:
 
     def __post_init__(self) -> None:
         for kind, most in (("states", STATES), ("inputs", INPUTS), ("outputs", OUTPUTS)):
-            found = getattr(self, kind)
-            if not 1 <= len(found) <= most:
-                raise UserError(f"a controller FMU is for 1 to {most} {kind}, found {len(found)}")
+            names = getattr(self, kind)
+            if not 1 <= len(names) <= most:
+                raise UserError(f"a controller FMU is for 1 to {most} {kind}, found {len(names)}")
         for kind in ("set_points", "biases"):
             for name in getattr(self, kind):
                 if name not in dict(self.outputs):

@@ -91,7 +91,7 @@ class Regulator:
     K_i: Array = _DEFAULT
 
     def __post_init__(self) -> None:
-        n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
+        n, m, p = (len(names) for names in (self.shape.states, self.shape.inputs, self.shape.outputs))
         if isinstance(self.filter, LinearFilter) != self.shape.estimated:
             raise UserError("disturbances are estimated by a Kalman filter, and by nothing else")
         if self.filter is None and n != p:
@@ -126,7 +126,7 @@ class Regulator:
 
     def values(self) -> dict[str, Value]:
         """Return the start values of the compiled table that the design decides."""
-        n, m, p = (len(found) for found in (self.shape.states, self.shape.inputs, self.shape.outputs))
+        n, m, p = (len(names) for names in (self.shape.states, self.shape.inputs, self.shape.outputs))
         values: dict[str, Value] = {"state_count": n, "input_count": m, "output_count": p}
         values |= {"mu": self.mu, "sample_time": self.sample_time}
         values |= {"estimator": ESTIMATORS.index(self.estimator) + 1}
@@ -211,12 +211,12 @@ def _array(value: Array | None) -> Array:
 
 
 def _checked(name: str, value: object, shape: tuple[int, ...], *, finite: bool = True) -> Array:
-    found = np.asarray(value, dtype=float)
-    if found.shape != shape:
-        raise UserError(f"{name} must have the shape {shape}, found {found.shape}")
-    if not (np.isfinite(found).all() if finite else not np.isnan(found).any()):
-        raise UserError(f"{name} must be finite, found {found[~np.isfinite(found)].flat[0]}")
-    return found
+    numbers = np.asarray(value, dtype=float)
+    if numbers.shape != shape:
+        raise UserError(f"{name} must have the shape {shape}, found {numbers.shape}")
+    if not (np.isfinite(numbers).all() if finite else not np.isnan(numbers).any()):
+        raise UserError(f"{name} must be finite, found {numbers[~np.isfinite(numbers)].flat[0]}")
+    return numbers
 
 
 def _bounded(limits: Array) -> Array:
@@ -224,7 +224,7 @@ def _bounded(limits: Array) -> Array:
 
 
 def set_point_matrices(
-    A: Array, B: Array, C: Array, chosen: Collection[int], names: Sequence[str] = ()
+    A: Array, B: Array, C: Array, held_outputs: Collection[int], names: Sequence[str] = ()
 ) -> tuple[Array, Array]:
     """Return N_x (n, p), N_u (m, p): x = N_x r and u = N_u r are at rest and hold the outputs `chosen` at r.
 
@@ -233,15 +233,15 @@ def set_point_matrices(
     outputs, that is 0 in every such equilibrium.
     """
     (n, m), p = B.shape, len(C)
-    rows = sorted(chosen)
+    rows = sorted(held_outputs)
     s = scaling(A, B)
     A_s, B_s = A * s.states / s.states[:, None] / s.omega, B * s.inputs / s.states[:, None] / s.omega
     C_s = C[rows] * s.states
     sizes = np.maximum(np.abs(C_s).max(axis=1, initial=0.0), 1e-300)
     M = np.block([[A_s, B_s], [C_s / sizes[:, None], np.zeros((len(rows), m))]])
     wanted = np.vstack([np.zeros((n, len(rows))), np.eye(len(rows))])
-    found = np.linalg.lstsq(M, wanted, rcond=1e-12)[0]
-    left = wanted - M @ found  # orthogonal to what M reaches: in every equilibrium its last rows times y are 0
+    at_rest = np.linalg.lstsq(M, wanted, rcond=1e-12)[0]
+    left = wanted - M @ at_rest  # orthogonal to what M reaches: in every equilibrium its last rows times y are 0
     if np.abs(left).max(initial=0.0) > 1e-8:
         names = names or [f"y{i}" for i in range(1, p + 1)]
         fixed = left[n:, np.abs(left).max(axis=0).argmax()] / sizes
@@ -250,7 +250,7 @@ def set_point_matrices(
             f"set_points must be outputs that can be held at any values together, found {', '.join(held)}: at rest "
             f"{combination(fixed, held)} stays where it is at the equilibrium, whatever the inputs"
         )
-    found = found / sizes * np.concatenate([s.states, s.inputs])[:, None]
+    at_rest = at_rest / sizes * np.concatenate([s.states, s.inputs])[:, None]
     N = np.zeros((n + m, p))
-    N[:, rows] = found
+    N[:, rows] = at_rest
     return N[:n], N[n:]

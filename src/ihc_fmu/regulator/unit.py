@@ -245,17 +245,17 @@ class HomogeneousControllerUnit(SampledUnit):
         """Advance the estimator and return x; estimates that are not finite are not kept, and x has a NaN."""
         state = self.state
         if self.estimator == "measured_state" or not state.primed:
-            found = Estimate(self._first_estimate(y), state.d, state.b)
+            estimate = Estimate(self._first_estimate(y), state.d, state.b)
         else:
             held = [command - at_rest for command, at_rest in zip(state.commands, self.u_eq, strict=True)]
             if self.estimator == "kalman":
-                found = kalman_step(self.filter, Estimate(state.x, state.d, state.b), held, y)
+                estimate = kalman_step(self.filter, Estimate(state.x, state.d, state.b), held, y)
             else:
-                found = Estimate(observer_step(self.observer, self.sample_time, state.x, held, y), state.d, state.b)
+                estimate = Estimate(observer_step(self.observer, self.sample_time, state.x, held, y), state.d, state.b)
         state.primed = True
-        if not all(map(math.isfinite, (*found.x, *found.d, *found.b))):
+        if not all(map(math.isfinite, (*estimate.x, *estimate.d, *estimate.b))):
             return (math.nan,) * self.n
-        state.x, state.d, state.b = tuple(found.x), tuple(found.d), tuple(found.b)
+        state.x, state.d, state.b = tuple(estimate.x), tuple(estimate.d), tuple(estimate.b)
         return state.x
 
     def _error(self, x: Vector, r: Vector) -> list[float]:

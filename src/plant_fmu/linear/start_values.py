@@ -102,8 +102,8 @@ def _bounded(numbers: Array | None) -> list[float]:
 
 def _unused(system: System) -> set[tuple[str, str]]:
     """Return (variable, initial state) where a matrix has 0 for their relation."""
-    found = set()
+    unused = set()
     for stem, M in (("output", system.C), ("derivative", system.A)):
         for i, j in np.argwhere(np.asarray(M) == 0.0):
-            found.add((f"{stem}_{i + 1}", f"initial_state_{j + 1}"))
-    return found
+            unused.add((f"{stem}_{i + 1}", f"initial_state_{j + 1}"))
+    return unused

@@ -1,20 +1,12 @@
 """`qube-ihc paper` in a process of its own: refusals, and Ctrl-C, after which the same command goes on."""
 
 import json
-import re
 import signal
 import time
 
 import pytest
 
-from tests.cosim.command import ended, files, journal_rows, started
-
-
-def test_help_names_every_option(tmp_path):
-    done = ended("paper", "--help", cwd=tmp_path)
-    assert done.returncode == 0
-    for option in ("--quick", "--draws", "--workers", "--output", "-o", "--fmus"):
-        assert re.search(rf"(?<![\w-]){option}\b", done.stdout), option
+from tests.cosim.command import ended, files, journal_rows, sentence, started
 
 
 @pytest.mark.parametrize(
@@ -35,22 +27,10 @@ def test_a_wrong_option_ends_with_code_2_and_is_named(tmp_path, arguments, named
     assert files(tmp_path) == []
 
 
-@pytest.fixture(scope="module")
-def without_fmus(tmp_path_factory):
-    """What the command says where there are no FMUs, and the files that it leaves."""
-    folder = tmp_path_factory.mktemp("without FMUs")
-    return ended("paper", "--quick", "--fmus", "nowhere", cwd=folder), files(folder)
-
-
-def test_missing_fmus_are_one_sentence(without_fmus):
-    done, _ = without_fmus
-    assert done.returncode == 2
-    (line,) = done.stderr.strip().splitlines()
-    assert line == ("error: FMU nowhere/QubeServo2.fmu does not exist; `qube-ihc export` makes the project's FMUs")
-
-
-def test_missing_fmus_leave_nothing_behind(without_fmus):
-    assert without_fmus[1] == []
+def test_missing_fmus_are_one_sentence_and_leave_nothing_behind(tmp_path):
+    said = sentence(ended("paper", "--quick", "--fmus", "nowhere", cwd=tmp_path))
+    assert said == "FMU nowhere/QubeServo2.fmu does not exist; `qube-ihc export` makes the project's FMUs"
+    assert files(tmp_path) == []
 
 
 def interrupted(journal, more, *args, cwd):

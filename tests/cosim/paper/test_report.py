@@ -19,10 +19,11 @@ from matplotlib.image import imread
 
 from cosim.paper import figures, report
 from cosim.paper.claims import Judge
-from cosim.paper.report import EXPERIMENT_NAMES, FRAME, animation_data, make
+from cosim.paper.report import EXPERIMENT_NAMES, make
 from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
 from cosim.paper.verdicts import Claim
 from cosim.pendulum_export import export_units
+from cosim.report.motion import FRAME
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
 from ihc_fmu.inverse import inverse_design
@@ -304,13 +305,6 @@ def test_the_animation_has_the_samples_of_the_runs(made, page):
         assert run["delta"] == pytest.approx(result["plant.delta"][rows], abs=0.5001e-5)
         assert run["voltage"] == pytest.approx(result["controller.voltage"][rows], abs=0.5001e-3)
         assert run["mode"] == result["controller.mode"][rows].tolist()
-
-
-def test_animation_data_cannot_end_its_script_element(made_result):
-    result = made_result(np.arange(41) * 1e-3, 0.25, plant_delta=3.0)
-    text = animation_data({"LC": result, "IHC": result})
-    assert "<" not in text
-    assert [len(run["theta"]) for run in json.loads(text)["runs"]] == [3, 3]
 
 
 def test_what_the_printed_P_does_depends_on_no_exported_design(made, tmp_path):

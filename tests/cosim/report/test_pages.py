@@ -12,12 +12,18 @@ from cosim.results import Result
 from tests.cosim.browser import Page, browse, check_alone, in_browser, played
 
 HOSTILE = '</script><script>window.keep("error", "ran")</script><img src=x onerror=\'keep("error", "ran")\'>'
+CART = {"name": "cart", "shape": "cart", "size": 0.2, "x": "controller.u"}
+ROD = {"name": HOSTILE, "shape": "rod", "size": 0.5, "on": "cart", "angle": f"plant.{HOSTILE}"}
 DARK = "--blink-settings=preferredColorScheme=0"
 
 PLAY = """
 const button = (text) => [...document.querySelectorAll(".toolbar button")].find((one) => one.textContent === text);
 const shown = () => document.querySelector(".toolbar output").textContent;
 document.querySelectorAll("details").forEach((part) => { part.open = true; });
+const slider = document.querySelector(".animation input.time");
+slider.value = 0.3;
+slider.dispatchEvent(new Event("input"));
+keep("sought", document.querySelector(".animation").dataset.time);
 keep("resources", performance.getEntriesByType("resource").length);
 setTimeout(() => {
   keep("plots", document.querySelectorAll(".uplot").length);
@@ -68,7 +74,7 @@ def page_of_run(tmp_path_factory):
     evaluation = {"errors": [{"signal": f"plant.{HOSTILE}", "unit": HOSTILE, "label": HOSTILE}]}
     evaluation["controls"] = [{"signal": "controller.u", "unit": "N"}]
     metadata = {
-        "scenario": {"name": "run", "description": HOSTILE},
+        "scenario": {"name": "run", "description": HOSTILE, "animation": [CART, ROD]},
         "evaluation": evaluation,
         "messages": {"plant": [HOSTILE]},
         "step": 1e-3,
@@ -81,7 +87,7 @@ def page_of_run(tmp_path_factory):
 
 def test_the_page_of_a_run_is_alone_and_says_everything_as_text(page_of_run):
     page = check_alone(page_of_run.read_text(encoding="utf-8"))
-    assert sum(tag == "script" for tag, _ in page.tags) == 4  # uPlot, two of its own, and the data
+    assert sum(tag == "script" for tag, _ in page.tags) == 6  # uPlot, three of its own, and the data of both
     assert not any(tag == "img" for tag, _ in page.tags)
     assert [text for tag, text in page.texts if tag == "h1"] == [HOSTILE]
     assert [text for tag, text in page.texts if tag == "li" and HOSTILE in text] == [HOSTILE, f"plant: {HOSTILE}"]
@@ -143,6 +149,7 @@ def test_the_page_of_a_run_can_be_played_with_on_a_telephone_in_the_dark(page_of
     assert (seen["width"], seen["resources"], seen["page"]) == ("390", "0", "rgb(20, 24, 29)")
     assert int(seen["plots"]) == len(re.findall('<figure class="chart"', text))
     assert (seen["pressed"], seen["drawn"], seen["read"]) == ("false", "true", "true")
+    assert seen["sought"] == "0.300"
     assert seen["shown"] == "shown: 1 to 3 s"
     assert [float(word) for word in seen["dragged"].split()[1:4:2]] == pytest.approx([1.5, 2.5], abs=0.02)  # a pixel
     rows = seen["saved"].strip().splitlines()

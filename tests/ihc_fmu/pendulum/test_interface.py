@@ -40,10 +40,10 @@ def test_every_start_value_obeys_its_own_rule_and_every_variable_is_described():
 
 
 def base_units(unit):
-    found = base_unit(unit)
-    assert found is not None
-    assert (found.factor, found.offset) == (1.0, 0.0)
-    return found.powers
+    base = base_unit(unit)
+    assert base is not None
+    assert (base.factor, base.offset) == (1.0, 0.0)
+    return base.powers
 
 
 def times(*units):
@@ -138,7 +138,7 @@ def test_online_part_needs_nothing_but_the_standard_library():
     script = (
         "import ihc_fmu.pendulum.unit, sys; print({m.partition('.')[0] for m in sys.modules} - sys.stdlib_module_names)"
     )
-    found = subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:0] = {sys.path!r}; {script}"],
+    process = subprocess.run([sys.executable, "-S", "-c", f"import sys; sys.path[:0] = {sys.path!r}; {script}"],
                            capture_output=True, text=True, check=True)  # fmt: skip
-    names = set(found.stdout.strip("{}\n").replace("'", "").split(", "))
+    names = set(process.stdout.strip("{}\n").replace("'", "").split(", "))
     assert names == {"__main__", "ihc_fmu", "fmu_export", "rotary_pendulum"}

@@ -43,8 +43,8 @@ def test_inverse_dynamics_gives_the_wanted_arm_acceleration(name):
     m = model(name)
     for _, delta, theta_dot, delta_dot, wanted in random_states() * [1, 1, 1, 1, 20]:
         voltage = voltage_for(m, delta, theta_dot, delta_dot, wanted)
-        found, _ = accelerations(m, delta, theta_dot, delta_dot, voltage)
-        assert found == pytest.approx(wanted, abs=1e-9)
+        acceleration, _ = accelerations(m, delta, theta_dot, delta_dot, voltage)
+        assert acceleration == pytest.approx(wanted, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", SETS)

@@ -26,8 +26,8 @@ P_UMAX_10 = np.array(
 
 def test_default_design_is_the_paper_controller(design, paper):
     A, b, k_lin = paper
-    for found, expected in ((design.A, A), (design.b, b), (design.k_lin, k_lin)):
-        np.testing.assert_array_equal(found, expected)
+    for actual, expected in ((design.A, A), (design.b, b), (design.k_lin, k_lin)):
+        np.testing.assert_array_equal(actual, expected)
     np.testing.assert_allclose(design.P, inverse_design(paper_system()).P, rtol=1e-4)
 
 
@@ -90,9 +90,9 @@ def test_nominal_coefficients_follow_from_the_pendulums_constants(design, name):
         "torque_per_volt": p.k_m / p.R_m,
         "motor_damping": p.k_m**2 / p.R_m,
     }
-    found = nominal_values(p)
-    assert found == pytest.approx({f"nominal_{key}": value for key, value in expected.items()})
-    assert controller_start_values(design, name).items() >= found.items()
+    values = nominal_values(p)
+    assert values == pytest.approx({f"nominal_{key}": value for key, value in expected.items()})
+    assert controller_start_values(design, name).items() >= values.items()
 
 
 def test_design_of_another_order_is_refused():

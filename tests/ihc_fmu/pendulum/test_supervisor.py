@@ -31,8 +31,8 @@ def test_transitions_with_swing_up(mode, inside, between, outside):
     [(I, S, I, I), (U, S, I, I), (S, S, S, I), (F, F, F, F)],
 )
 def test_transitions_without_swing_up(mode, inside, between, outside):
-    found = [decide(mode, where, swing_up=False) for where in (INSIDE, BETWEEN, OUTSIDE)]
-    assert found == [inside, between, outside]
+    modes = [decide(mode, where, swing_up=False) for where in (INSIDE, BETWEEN, OUTSIDE)]
+    assert modes == [inside, between, outside]
 
 
 def test_disabled_is_idle_whatever_the_state_but_a_fault_stays():

@@ -76,9 +76,9 @@ def test_energy_rises_from_hanging_to_the_target_within_a_second():
     ],
 )
 def test_arm_is_accelerated_against_the_pendulums_motion_when_hanging_with_it_when_upright(delta, delta_dot, expected):
-    found = arm_acceleration(PUMP, MODEL, 0.0, delta, 0.0, delta_dot)
+    acceleration = arm_acceleration(PUMP, MODEL, 0.0, delta, 0.0, delta_dot)
     limit = LAW.acceleration_limit
-    assert found == pytest.approx(saturate(expected, limit), abs=1e-9)
+    assert acceleration == pytest.approx(saturate(expected, limit), abs=1e-9)
 
 
 def test_pumping_is_proportional_near_the_target_and_saturates_beyond():
@@ -89,8 +89,8 @@ def test_pumping_is_proportional_near_the_target_and_saturates_beyond():
         pumping = LAW.energy_gain * missing_energy(delta, delta_dot) * direction
         proportional += abs(pumping) < LAW.acceleration_limit
         wanted = max(-150.0, min(150.0, pumping)) - 50.0 * theta - 10.0 * theta_dot
-        found = arm_acceleration(LAW, MODEL, theta, delta, theta_dot, delta_dot)
-        assert found == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+        acceleration = arm_acceleration(LAW, MODEL, theta, delta, theta_dot, delta_dot)
+        assert acceleration == pytest.approx(wanted, rel=1e-9, abs=1e-9)
     assert 10 < proportional < 390
 
 

@@ -98,12 +98,12 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
     for changes, command, used in cases:
         unit = controller(**STATE_INPUT, a_min=0.1, b_max=2.0, voltage_limit=1e3, capture_level=1e3, **changes)
         started(unit, x).step(0.0, 1e-3, given(x))
-        found = outputs(unit)
-        assert found["mode"] == Mode.STABILIZING
-        assert found["voltage"] == pytest.approx(command, rel=1e-9)
-        assert found["homogeneous_norm_used"] == pytest.approx(used, rel=1e-9)
-        assert found["homogeneous_norm"] == pytest.approx(homogeneity.homogeneous_norm(c, 1.0), rel=1e-9)
-        assert (found["theta_dot_estimate"], found["delta_dot_estimate"]) == (-0.3, 0.5)
+        values = outputs(unit)
+        assert values["mode"] == Mode.STABILIZING
+        assert values["voltage"] == pytest.approx(command, rel=1e-9)
+        assert values["homogeneous_norm_used"] == pytest.approx(used, rel=1e-9)
+        assert values["homogeneous_norm"] == pytest.approx(homogeneity.homogeneous_norm(c, 1.0), rel=1e-9)
+        assert (values["theta_dot_estimate"], values["delta_dot_estimate"]) == (-0.3, 0.5)
 
 
 def test_bounds_of_one_run_the_linear_controller_to_the_last_bit(controller, closed_loop):
@@ -273,9 +273,9 @@ def test_wrapped_and_unwrapped_pendulum_angles_give_the_same_commands(controller
     for wrap in wraps:
         seen = recorded.copy()
         seen[:, 1] = [wrap(a) for a in recorded[:, 1]]
-        found = feed(started(controller(), seen[0]), seen)
-        np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-8)
-        np.testing.assert_array_equal(found[:, OUTPUTS.index("mode")], modes)
+        rows = feed(started(controller(), seen[0]), seen)
+        np.testing.assert_allclose(rows[:, 0], expected[:, 0], atol=1e-8)
+        np.testing.assert_array_equal(rows[:, OUTPUTS.index("mode")], modes)
 
 
 def test_pendulum_that_turns_over_and_over_has_a_steady_velocity(controller):
@@ -290,8 +290,8 @@ def test_pendulum_that_turns_over_and_over_has_a_steady_velocity(controller):
 def test_velocities_come_from_the_inputs_only_when_chosen(controller):
     seen = (0.0, 0.05, 0.7, -0.4)
     for source, expected in (("inputs", (0.7, -0.4)), ("filter", (0.0, 0.0))):
-        found = outputs(feed_one(controller(velocity_source=source), seen))
-        assert (found["theta_dot_estimate"], found["delta_dot_estimate"]) == expected
+        values = outputs(feed_one(controller(velocity_source=source), seen))
+        assert (values["theta_dot_estimate"], values["delta_dot_estimate"]) == expected
 
 
 def feed_one(unit, seen):
@@ -303,9 +303,9 @@ def test_law_sees_the_manufacturers_filter(controller):
     """Stabilizing on still and then stepping angles: w (angle - lag), to the last sample."""
     theta = np.concatenate([np.zeros(5), np.full(40, 0.01)])
     seen = np.column_stack([theta, np.zeros_like(theta), np.zeros((len(theta), 2))])
-    found = feed(started(controller(), seen[0]), seen)[:, OUTPUTS.index("theta_dot_estimate")]
+    estimates = feed(started(controller(), seen[0]), seen)[:, OUTPUTS.index("theta_dot_estimate")]
     expected = np.concatenate([np.zeros(5), 0.5 * np.exp(-0.05 * np.arange(40))])
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(estimates, expected, atol=1e-12)
 
 
 # The arm's set-point
@@ -366,9 +366,9 @@ def test_non_finite_input_is_a_latched_fault_at_zero_volts(controller, name, val
     (message,) = unit.step(3e-3, 1e-3, bad)
     assert f"fault non_finite_input: {name} = {value}" in message
     for k in range(4, 10):
-        found = outputs(unit)
-        assert (found["voltage"], found["mode"], found["fault"]) == (0.0, Mode.FAULT, Fault.NON_FINITE_INPUT)
-        assert found["homogeneous_norm_used"] == 1.0
+        values = outputs(unit)
+        assert (values["voltage"], values["mode"], values["fault"]) == (0.0, Mode.FAULT, Fault.NON_FINITE_INPUT)
+        assert values["homogeneous_norm_used"] == 1.0
         assert unit.step(k * 1e-3, 1e-3, bad if k == 6 else given(good)) == []
 
 
@@ -394,8 +394,8 @@ def test_command_that_overflows_is_a_fault_of_the_control(controller):
     assert unit.step(1e-3, 1e-3, given((1e5, 0.0, 0.0, 0.0))) == [
         "fault non_finite_control: the command is not finite; the voltage is 0 V until reset"
     ]
-    found = outputs(unit)
-    assert (found["voltage"], found["mode"], found["fault"]) == (0.0, Mode.FAULT, Fault.NON_FINITE_CONTROL)
+    values = outputs(unit)
+    assert (values["voltage"], values["mode"], values["fault"]) == (0.0, Mode.FAULT, Fault.NON_FINITE_CONTROL)
 
 
 # State

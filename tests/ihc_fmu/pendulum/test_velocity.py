@@ -41,9 +41,9 @@ def test_filter_turns_a_ramp_into_its_slope_with_first_order_in_the_sample_time(
     """Sampled right after the held angle has stepped, the velocity is slope w h/(1 - e^(-w h))."""
     slope, w, errors = 3.0, 50.0, []
     for h in (2e-4, 1e-4):
-        found = filtered(slope * h * np.arange(round(1 / h)), w, h)[-1]
-        assert found == pytest.approx(slope * w * h / (1 - exp(-w * h)), rel=1e-9)
-        errors.append(found - slope)
+        slope_estimate = filtered(slope * h * np.arange(round(1 / h)), w, h)[-1]
+        assert slope_estimate == pytest.approx(slope * w * h / (1 - exp(-w * h)), rel=1e-9)
+        errors.append(slope_estimate - slope)
     assert log(errors[0] / errors[1]) / log(2) == pytest.approx(1.0, abs=0.02)
 
 
@@ -84,5 +84,5 @@ def test_observer_corrects_each_channel_by_its_own_error():
     m = nominal_model(nominal_values(parameter_set("ident").parameters))
     x = (0.1, 2.0, 1.0, -3.0)
     p = predict(m, *x, 1.0, 1e-3)
-    found = observe(m, (0.25, 30.0), x, 1.0, 1e-3, p[0] + 0.01, p[1] - 0.02)
-    assert np.subtract(found, p) == pytest.approx([0.0025, -0.005, 0.3, -0.6], rel=1e-9)
+    estimate = observe(m, (0.25, 30.0), x, 1.0, 1e-3, p[0] + 0.01, p[1] - 0.02)
+    assert np.subtract(estimate, p) == pytest.approx([0.0025, -0.005, 0.3, -0.6], rel=1e-9)

@@ -25,10 +25,10 @@ OUTPUT_NAMES = [v.name for v in INTERFACE.calculated]
 H = 1e-3
 
 
-def agree(found, expected):
+def agree(actual, expected):
     """NaN agrees with NaN."""
     tolerance = 0.0 if EXACT else 1e-12
-    np.testing.assert_allclose(np.array(found, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
+    np.testing.assert_allclose(np.array(actual, float), np.array(expected, float), rtol=tolerance, atol=tolerance)
 
 
 def row(measured, wanted=None):

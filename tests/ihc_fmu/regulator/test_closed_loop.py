@@ -101,8 +101,8 @@ def test_norm_falls_as_certified():
     first = loop.outputs()["homogeneous_norm"]
     for k in range(1, 200):
         x = loop.run(x, H)
-        found = loop.outputs()["homogeneous_norm"]
-        assert found <= first - ALPHA["arm"] * k * H + 1e-3 or found < 0.05
+        norm = loop.outputs()["homogeneous_norm"]
+        assert norm <= first - ALPHA["arm"] * k * H + 1e-3 or norm < 0.05
 
 
 def test_set_point_is_reached_about_an_equilibrium_that_is_not_0():
@@ -125,10 +125,10 @@ def test_from_outputs_alone_the_filter_finds_state_and_disturbance_and_the_law_t
     disturbance = np.array([0.3, -0.2])[:m]
     loop = Loop(entries, regulator, a_min=0.3)
     x = loop.run(np.array([0.02, 0.0, 0.01, 0.0]), 8.0, disturbance=disturbance)
-    found = loop.outputs()
+    values = loop.outputs()
     assert np.abs(x).max() < 1e-6
-    np.testing.assert_allclose([found[f"disturbance_estimate_{i}"] for i in range(1, m + 1)], disturbance, atol=1e-5)
-    np.testing.assert_allclose([found[f"state_estimate_{i}"] for i in (1, 2, 3, 4)], x, atol=1e-6)
+    np.testing.assert_allclose([values[f"disturbance_estimate_{i}"] for i in range(1, m + 1)], disturbance, atol=1e-5)
+    np.testing.assert_allclose([values[f"state_estimate_{i}"] for i in (1, 2, 3, 4)], x, atol=1e-6)
 
 
 def test_names_units_and_limits_are_those_of_the_system():

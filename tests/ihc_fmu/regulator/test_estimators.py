@@ -78,12 +78,12 @@ def test_error_vanishes_sooner_than_that_of_the_linear_observer():
 
     def error(nu):
         ours = observer(A, B, C, form.T, form.exponents, form.K_0.T, L, nu, (1e-3, 1.0))
-        x, found = np.array([0.2, -0.1, 0.3]), np.zeros(3).tolist()
+        x, estimate = np.array([0.2, -0.1, 0.3]), np.zeros(3).tolist()
         for k in range(4000):
             u = np.sin(0.01 * k)
             x = block[:3, :3] @ x + block[:3, 3] * u
-            found = observer_step(ours, H, found, [u], [float((C @ x)[0])])
-        return np.abs(np.array(found) - x)
+            estimate = observer_step(ours, H, estimate, [u], [float((C @ x)[0])])
+        return np.abs(np.array(estimate) - x)
 
     linear, homogeneous = error(0.0), error(-0.2)
     assert homogeneous[0] < 0.1 * linear[0]

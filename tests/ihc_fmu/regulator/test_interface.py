@@ -33,7 +33,7 @@ def test_measured_outputs_and_set_points_go_in_and_commands_come_out_under_their
 
 
 def test_parameters_are_choices_limits_gains_and_the_equilibrium():
-    found = of("parameter")
+    parameters = of("parameter")
     for name in (
         "law",
         "a_min",
@@ -44,15 +44,15 @@ def test_parameters_are_choices_limits_gains_and_the_equilibrium():
         "enabled",
         "compensate_disturbance",
     ):
-        assert name in found
-    assert [name for name in found if name.endswith(("_lower", "_upper"))] == [
+        assert name in parameters
+    assert [name for name in parameters if name.endswith(("_lower", "_upper"))] == [
         *("force_lower", "torque_lower", "force_upper", "torque_upper")
     ]
-    assert [name for name in found if re.match("[KP]_", name)] == [
+    assert [name for name in parameters if re.match("[KP]_", name)] == [
         *[f"K_{i}_{j}" for i in (1, 2) for j in (1, 2, 3, 4)],
         *[f"P_{i}_{j}" for i in (1, 2, 3, 4) for j in range(i, 5)],
     ]
-    assert [name for name in found if name.endswith("_equilibrium")] == [
+    assert [name for name in parameters if name.endswith("_equilibrium")] == [
         *(f"{name}_equilibrium" for name in ("position", "angle", "encoder", "force", "torque"))
     ]
     tunable = {v.name for v in shown_interface(CRANE).variables if v.variability == "tunable"}

@@ -46,9 +46,9 @@ def test_every_size_and_kind_is_the_same(n, m, both):
         for law, solver, discretization in itertools.product((LC, IHC), (1, 2), (1, 2)):
             pair.tune(law=law, norm_solver=solver, discretization=discretization)
             for inputs in itertools.islice(rows, 6):
-                found = pair.step(inputs)
-                modes.add(found["mode"])
-                commands.add(found["command_1"])
+                outputs = pair.step(inputs)
+                modes.add(outputs["mode"])
+                commands.add(outputs["command_1"])
         assert modes == {Mode.STABILIZING}
         assert len(commands) > 10
 
@@ -88,8 +88,8 @@ def test_numbers_of_all_sizes_are_answered_alike(kind, both):
             for k in range(40):
                 p = len(regulator.shape.outputs)
                 sizes = 10.0 ** (rng.uniform(-300, 300, p) if k % 2 else np.full(p, rng.uniform(-300, 290)))
-                found = pair.step(row(rng.choice([-1.0, 0.0, 1.0], p) * sizes, np.zeros(p)))
-                if found["mode"] == Mode.FAULT:
+                outputs = pair.step(row(rng.choice([-1.0, 0.0, 1.0], p) * sizes, np.zeros(p)))
+                if outputs["mode"] == Mode.FAULT:
                     pair = both({**values, "discretization": semi})
 
 
@@ -113,9 +113,9 @@ def test_non_finite_input_faults_both_until_reset(bad, value, both):
     for inputs in rows[:3]:
         assert pair.step(inputs)["mode"] == Mode.STABILIZING
     faulty = tuple((by_name(rows[3]) | {bad: value}).values())
-    found = pair.step(faulty)
-    assert (found["mode"], found["fault"]) == (Mode.FAULT, Fault.NON_FINITE_INPUT)
-    assert (found["command_1"], found["command_2"]) == (0.5, 0.0)
+    outputs = pair.step(faulty)
+    assert (outputs["mode"], outputs["fault"]) == (Mode.FAULT, Fault.NON_FINITE_INPUT)
+    assert (outputs["command_1"], outputs["command_2"]) == (0.5, 0.0)
     ((_, _, message),) = pair.native.log
     assert message == (
         f"t = 0.003 s: fault non_finite_input: {bad} = {value}; the commands are 0 within their limits until reset"

@@ -74,8 +74,8 @@ def test_norm_and_commands_are_those_of_the_authors_toolbox(name):
             continue
         regulator = of_toolbox(system, part, system["K_lin"], -v["degree"])
         x = np.ravel(v["x"])
-        found, u = sampled(regulator, x, **EXPLICIT)
-        assert found["homogeneous_norm"] == pytest.approx(v["norm"], rel=1e-9)
+        values, u = sampled(regulator, x, **EXPLICIT)
+        assert values["homogeneous_norm"] == pytest.approx(v["norm"], rel=1e-9)
         np.testing.assert_allclose(u, np.ravel(v["u"]), rtol=1e-9)
         limits = {"norm_solver": 2, "a_min": 0.3, "b_max": 1.0}
         _, clamped = sampled(regulator, x, **limits, discretization=1)
@@ -96,8 +96,8 @@ def test_integral_action_is_that_of_the_authors_toolbox(name):
         regulator = replace(regulator, K_i=-np.array(system["B"]).T @ regulator.P)
         for v in part["vectors"]:
             x = np.ravel(v["x"])
-            found, u = sampled(regulator, x, **EXPLICIT)
-            assert found["homogeneous_norm"] == pytest.approx(v["norm"], rel=1e-9)
+            values, u = sampled(regulator, x, **EXPLICIT)
+            assert values["homogeneous_norm"] == pytest.approx(v["norm"], rel=1e-9)
             np.testing.assert_allclose(u, np.ravel(v["u"]), rtol=1e-9)
             unit = unit_of(regulator, **EXPLICIT)
             unit.step(0.0, H, row(x))
@@ -248,8 +248,8 @@ def test_commands_that_are_not_finite_fault_it():
         message
         == "fault non_finite_control: the command is not finite; the commands are 0 within their limits until reset"
     )
-    found = outputs(unit)
-    assert (found["command_1"], found["mode"], found["fault"]) == (-0.125, Mode.FAULT, Fault.NON_FINITE_CONTROL)
+    values = outputs(unit)
+    assert (values["command_1"], values["mode"], values["fault"]) == (-0.125, Mode.FAULT, Fault.NON_FINITE_CONTROL)
     assert unit.step(H, H, row([0.0, 0.0])) == []
     assert outputs(unit)["mode"] == Mode.FAULT
 
@@ -330,10 +330,10 @@ def test_filter_is_the_predictor_corrector():
             x, b = f.F @ x + f.G @ (u - regulator.u_eq + d), 0.999 * b
             e = y - f.C @ x - b
             x, d, b = x + f.M[:5] @ e, d + f.M[5:7] @ e, b + f.M[7:] @ e
-        found = outputs(unit)
-        np.testing.assert_allclose([found[f"state_estimate_{i}"] for i in range(1, 6)], x + regulator.x_eq, rtol=1e-9)
-        np.testing.assert_allclose([found[f"disturbance_estimate_{i}"] for i in (1, 2)], d, rtol=1e-9, atol=1e-15)
-        np.testing.assert_allclose([found[f"bias_estimate_{i}"] for i in (1, 2, 3)], b, rtol=1e-9, atol=1e-15)
+        values = outputs(unit)
+        np.testing.assert_allclose([values[f"state_estimate_{i}"] for i in range(1, 6)], x + regulator.x_eq, rtol=1e-9)
+        np.testing.assert_allclose([values[f"disturbance_estimate_{i}"] for i in (1, 2)], d, rtol=1e-9, atol=1e-15)
+        np.testing.assert_allclose([values[f"bias_estimate_{i}"] for i in (1, 2, 3)], b, rtol=1e-9, atol=1e-15)
         u = commands(unit, regulator)
     assert set(np.abs(u)) == {0.4}
 
@@ -382,13 +382,13 @@ def test_set_points_that_cannot_be_held_are_refused():
     """The velocity of a double integrator, and more outputs than inputs; what is fixed at rest is named."""
     A, B = np.eye(2, k=1), np.array([[0.0], [1.0]])
     lags = -np.diag([1.0, 2.0])  # at rest x1 = u and x2 = u / 2
-    for A_of, B_of, chosen, said in (
+    for A_of, B_of, held, said in (
         (A, B, (1,), "found v: at rest v stays where"),
         (A, B, (0, 1), "found x, v: at rest v stays where"),
         (lags, np.ones((2, 1)), (0, 1), r"found x, v: at rest - 0.5 x \+ v stays where"),
     ):
         with pytest.raises(ValueError, match=rf"^set_points must be outputs .* together, {said}"):
-            set_point_matrices(A_of, B_of, np.eye(2), chosen, ("x", "v"))
+            set_point_matrices(A_of, B_of, np.eye(2), held, ("x", "v"))
 
 
 def test_first_norm_is_that_of_the_first_measurement():
@@ -414,8 +414,8 @@ def test_integrand_is_its_formula_with_the_matrix_exponential():
             expected = r ** (1 - 2 * mu) * K_i @ y
             quotient = (y @ system.P @ y) / (y @ system.P @ system.generator() @ y)
             for free, factor in ((False, 1.0), (True, quotient)):
-                found = integrand(design, Kiz, r, block_state(design, x.tolist()), free)
-                np.testing.assert_allclose(found, factor * expected, rtol=1e-8)
+                rate = integrand(design, Kiz, r, block_state(design, x.tolist()), free)
+                np.testing.assert_allclose(rate, factor * expected, rtol=1e-8)
 
 
 def test_integral_action_is_linear_where_the_law_is():

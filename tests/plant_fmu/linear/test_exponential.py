@@ -37,13 +37,13 @@ def reference(A, B, h):
         for _ in range(squarings):
             total = total * total
         total -= mpmath.eye(n + m)
-        found = np.array(total.tolist(), dtype=float)
-    return found[:n, :n], found[:n, n:]
+        F = np.array(total.tolist(), dtype=float)
+    return F[:n, :n], F[:n, n:]
 
 
-def error(found, expected):
+def error(actual, expected):
     """The largest error of an entry, relative to the largest entry."""
-    return max(np.abs(f - e).max() / np.abs(e).max() for f, e in zip(found, expected, strict=True))
+    return max(np.abs(f - e).max() / np.abs(e).max() for f, e in zip(actual, expected, strict=True))
 
 
 def stiff(fastest):

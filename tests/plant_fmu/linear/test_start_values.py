@@ -16,8 +16,8 @@ from .models import CRANE, random_system
 
 def test_crane_is_shown_by_its_own_names_and_units():
     shown = shown_interface(CRANE)
-    found = {v.name: (v.causality, v.unit, v.start, v.compiled) for v in shown.variables}
-    assert found == {
+    listed = {v.name: (v.causality, v.unit, v.start, v.compiled) for v in shown.variables}
+    assert listed == {
         "force": ("input", "N", 0.0, "input_1"),
         "force_disturbance": ("input", "N", 0.0, "disturbance_1"),
         "position": ("output", "m", None, "output_1"),
@@ -66,8 +66,8 @@ def test_all_numbers_of_a_system_are_in_the_values_of_its_table(seed):
     shown = shown_interface(system)
     values = Showing(INTERFACE, shown).compiled_values(shown.start_values(), linear_plant_values(system))
     for stem, M in (("A", system.A), ("B", system.B), ("C", np.asarray(system.C))):
-        found = [[values[f"{stem}_{i + 1}_{j + 1}"] for j in range(M.shape[1])] for i in range(M.shape[0])]
-        np.testing.assert_array_equal(found, M)
+        entries = [[values[f"{stem}_{i + 1}_{j + 1}"] for j in range(M.shape[1])] for i in range(M.shape[0])]
+        np.testing.assert_array_equal(entries, M)
     rows = {
         "input_equilibrium": system.u_eq,
         "output_equilibrium": system.y_eq,
