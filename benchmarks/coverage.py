@@ -16,7 +16,8 @@ import numpy as np
 
 from cosim.hil.identify import identify
 from cosim.pendulum_export import export_units
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from ihc_fmu.pendulum.start_values import default_design
 from plant_fmu.parameters import PARAMETER_SETS
 

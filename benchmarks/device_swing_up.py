@@ -20,7 +20,7 @@ import numpy as np
 
 from cosim.campaign import Job, run_all
 from cosim.errors import UserError
-from cosim.metrics import kept_upright, takeovers, wrapped
+from cosim.judged_signals import kept_upright, takeovers, wrapped
 from cosim.results import Result
 from cosim.scenario import load_scenario
 from plant_fmu.parameters import PARAMETER_SETS

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cosim.master import Order, simulate
+from cosim.pendulum import WIRES
 from cosim.pendulum_export import export_units
-from cosim.scenario import WIRES
 from cosim.structure import Component, SystemStructure
 from ihc_fmu.pendulum.start_values import default_design
 

@@ -23,10 +23,11 @@ from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
 from cosim.hil.udp import UdpDevice
 from cosim.hil.udp_messages import address_of
-from cosim.metrics import kept_upright
+from cosim.judged_signals import kept_upright
 from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result
-from cosim.scenario import build_system, load_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_system import build_system
 from cosim.structure import Component
 from ihc_fmu.pendulum.start_values import default_design
 

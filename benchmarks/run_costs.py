@@ -16,11 +16,12 @@ from benchmarks.tools import STEP, Pair
 from cosim.campaign import Job, run_all
 from cosim.master import simulate
 from cosim.metrics import evaluate
-from cosim.scenario import Scenario, load_scenario, run_scenario
+from cosim.scenario import Scenario, load_scenario
+from cosim.scenario_run import run_scenario
 
 SHORT_STEPS = 10
 
-MODULES = "cosim.cli, cosim.master, cosim.metrics, cosim.scenario"
+MODULES = "cosim.cli, cosim.master, cosim.metrics, cosim.scenario_run"
 """What `qube-ihc run` imports."""
 
 

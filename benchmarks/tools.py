@@ -31,8 +31,8 @@ from fmpy.ssp.simulation import simulate_ssp
 
 from benchmarks.monolithic import Monolithic
 from cosim.master import Engine, Order, simulate
+from cosim.pendulum import WIRES
 from cosim.pendulum_export import Kind, export_units
-from cosim.scenario import WIRES
 from cosim.structure import Component, SystemStructure
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design

@@ -29,7 +29,9 @@ from .errors import UserError
 from .fmu_files import describe
 from .interrupts import second_ends
 from .results import Result, SimulationError, versions
-from .scenario import Scenario, files, run_scenario
+from .scenario import Scenario
+from .scenario_files import files
+from .scenario_run import run_scenario
 
 APPLICATION, VERSION = 0x51554245, 2
 """What tells a journal from another SQLite file: "QUBE", and the version of its format."""
@@ -97,22 +99,22 @@ def run_all(
                 raise
             return failed(error)
 
-    found: dict[K, T] = {}
+    results: dict[K, T] = {}
     with second_ends(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
         try:
             futures: dict[Future[T], Job[K]] = {pool.submit(run, job): job for job in jobs}
             for future in as_completed(futures):
                 job = futures[future]
-                found[job.key] = future.result()
+                results[job.key] = future.result()
                 if done is not None:
-                    done(job, found[job.key])
+                    done(job, results[job.key])
                 if progress is not None:
-                    progress(len(found), len(jobs))
+                    progress(len(results), len(jobs))
         except BaseException:
             stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
             raise
-    return {job.key: found[job.key] for job in jobs}
+    return {job.key: results[job.key] for job in jobs}
 
 
 def _anchored(job: Job[K]) -> Job[K]:
@@ -198,16 +200,16 @@ class Journal:
 
     def digest(self, job: Job[Any], fmus: FilePath) -> str:
         """Return what the job's numbers are kept under: a hash of purpose, code, versions, scenario, FMUs and files."""
-        about = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
-        about.update(job.scenario.model_dump_json().encode())
+        digest = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
+        digest.update(job.scenario.model_dump_json().encode())
         used = files(job.scenario, fmus, job.folder)
         for fmu in used.fmus.values():
-            about.update(str(describe(fmu).guid).encode())
+            digest.update(str(describe(fmu).guid).encode())
         parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
         others = [("design", used.design), ("parameter", parameters), *(("signal", t) for t in used.tables.values())]
         for what, file in others:
-            about.update(b"" if file is None else hashlib.sha256(read_bytes(file, what)).digest())
-        return about.hexdigest()[:32]
+            digest.update(b"" if file is None else hashlib.sha256(read_bytes(file, what)).digest())
+        return digest.hexdigest()[:32]
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:
@@ -304,29 +306,29 @@ def run_numbers(
     """
     digests = {job.key: journal.digest(job, fmus) for job in jobs}
     known = {job.key: journal.found(digests[job.key]) for job in jobs}
-    numbers = {key: found for key, found in known.items() if found is not None}
+    numbers = {key: values for key, values in known.items() if values is not None}
     todo = [job for job in jobs if job.key not in numbers]
 
     def report() -> None:
         if progress is not None:
             progress(len(numbers), len(jobs))
 
-    def done(job: Job[K], found: Numbers | None) -> None:
-        if found is not None:
+    def done(job: Job[K], values: Numbers | None) -> None:
+        if values is not None:
             if journal.found(digests[job.key]) is None:
-                journal.keep(digests[job.key], found)
-            numbers[job.key] = dict(found)
+                journal.keep(digests[job.key], values)
+            numbers[job.key] = dict(values)
             report()
 
     def first(job: Job[K]) -> tuple[bool, Numbers | None]:
         """Skip what another process has done, and what it has begun."""
-        found = journal.found(digests[job.key])
-        return (True, found) if found is not None or not journal.claim(digests[job.key]) else (False, None)
+        values = journal.found(digests[job.key])
+        return (True, values) if values is not None or not journal.claim(digests[job.key]) else (False, None)
 
     def again(job: Job[K]) -> tuple[bool, Numbers | None]:
         """Skip what another process has done meanwhile; whoever began the rest may be gone."""
-        found = journal.found(digests[job.key])
-        return found is not None, found
+        values = journal.found(digests[job.key])
+        return values is not None, values
 
     report()
     for skip in (first, again):

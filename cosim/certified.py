@@ -32,12 +32,12 @@ def certified_names(own: Mapping[str, Any]) -> list[str]:
     return [name for name in own if _ANY.fullmatch(name)] if {"K_1_1", "P_1_1", "mu"} <= own.keys() else []
 
 
-def remarks(own: Mapping[str, Any], chosen: Mapping[str, Any]) -> list[str]:
-    """Return sentences that `chosen` start values differ from those of the design in `own`; nothing where none does."""
+def remarks(own: Mapping[str, Any], start: Mapping[str, Any]) -> list[str]:
+    """Return sentences that `start` start values differ from those of the design in `own`; nothing where none does."""
     certified = certified_names(own)
     equilibrium = [name for name in own if certified and name.endswith(_EQUILIBRIUM)]
     changed, moved = (
-        [name for name in names if name in chosen and chosen[name] != own[name]] for names in (certified, equilibrium)
+        [name for name in names if name in start and start[name] != own[name]] for names in (certified, equilibrium)
     )
     them = "it" if len(changed) == 1 else "them"
     said = [f"{_differ(changed)} from the design's: its certificate does not cover {them}"] if changed else []

@@ -46,16 +46,16 @@ def without_noise(M: Array, again: Array, sizes: Array) -> Array:
     return np.vectorize(lambda value: float(f"{value:.{DIGITS}g}"), otypes=[float])(kept)
 
 
-def check_smooth(found: Jacobian, sizes: Array, rows: Sequence[str], columns: Sequence[str]) -> None:
+def check_smooth(numeric: Jacobian, sizes: Array, rows: Sequence[str], columns: Sequence[str]) -> None:
     """Raise UserError that names the entry whose derivative does not settle or differs from side to side."""
-    error = relative(found.error, found.J, sizes)
+    error = relative(numeric.error, numeric.J, sizes)
     if error.max(initial=0.0) > LARGEST_ERROR:
         i, j = place(error)
         raise UserError(
             f"{rows[i]} has no derivative by {columns[j]} that differences agree on: it is not smooth there (counted or "
             "noisy sensor, dry friction, switch); turn that off with --set, or leave it out"
         )
-    kink = relative(found.kink, found.J, sizes)
+    kink = relative(numeric.kink, numeric.J, sizes)
     if kink.max(initial=0.0) > LARGEST_ERROR:
         i, j = place(kink)
         raise UserError(

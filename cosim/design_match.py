@@ -30,7 +30,7 @@ from ihc_fmu.system import System
 
 from .poles import alike, poles_text, sorted_poles
 from .unit_slips import nearest, slips
-from .wire_factors import Explanation, Wired, likeliest
+from .wire_factors import ComparedWire, Explanation, likeliest
 
 Array = np.ndarray
 
@@ -173,7 +173,7 @@ def fits(expected: Expected, plant: Seen) -> bool | None:
 
 
 def explained(
-    expected: Expected, plant: Seen, wires: Mapping[str, Sequence[Wired]], *, only_sizes: bool = False
+    expected: Expected, plant: Seen, wires: Mapping[str, Sequence[ComparedWire]], *, only_sizes: bool = False
 ) -> str | None:
     """Return what would make a model that does not fit that of the plant; None where nothing does that is tried.
 
@@ -185,17 +185,17 @@ def explained(
         return None
     system = expected.system
     known = {q.name: _known(q, wires.get(q.name, ())) for q in (*system.outputs, *system.inputs)}
-    found = explanations(system, both, known)
-    return likeliest((one for one in found if not only_sizes or one.only_sizes), wires)
+    candidates = explanations(system, both, known)
+    return likeliest((one for one in candidates if not only_sizes or one.only_sizes), wires)
 
 
-def _known(quantity: Quantity, wires: Sequence[Wired]) -> dict[float, str]:
+def _known(quantity: Quantity, wires: Sequence[ComparedWire]) -> dict[float, str]:
     """Return sizes by which numbers are mistaken, by units or by the wires' factors, with the unit in words, else ""."""
-    found = slips(quantity.unit)
+    sizes = slips(quantity.unit)
     for size in (size for wire in wires for size in wire.suspected()):
-        if all(abs(size / other - 1.0) > SAME for other in found):
-            found[size] = ""
-    return found
+        if all(abs(size / other - 1.0) > SAME for other in sizes):
+            sizes[size] = ""
+    return sizes
 
 
 def remarks(expected: Expected, plant: Seen) -> list[str]:
@@ -297,9 +297,9 @@ def _units(inputs: Sequence[Quantity], known: Known) -> Iterator[Array]:
 
 
 def _swapped(order: tuple[int, ...], i: int, j: int) -> tuple[int, ...]:
-    found = list(order)
-    found[i], found[j] = found[j], found[i]
-    return tuple(found)
+    swapped = list(order)
+    swapped[i], swapped[j] = swapped[j], swapped[i]
+    return tuple(swapped)
 
 
 def _assigned(system: System, both: Answers, design: Array, known: Known) -> Explanation | None:

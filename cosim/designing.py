@@ -19,9 +19,9 @@ from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.options import Options
 from ihc_fmu.pendulum.paper_system import paper_system
 from ihc_fmu.synthesis import SHARE_OF_LIMIT, Choice, chosen_options, degrees
-from ihc_fmu.system import PENDULUM, System
+from ihc_fmu.system import System
 
-from . import pendulum_export, system_export
+from .design_export import check_exportable
 from .errors import UserError
 
 Say = Callable[[str], object]
@@ -79,9 +79,8 @@ def find(system: System, wish: Wish, say: Say) -> tuple[Design, Choice]:
 
 def unexportable(design: Design) -> list[str]:
     """Return the sentence with which `export` will refuse a design, found by its own checks; nothing where it will not."""
-    check = pendulum_export.check_exportable if design.system.name == PENDULUM else system_export.check_exportable
     try:
-        check(design)
+        check_exportable(design)
     except UserError as error:
         return [f"export will refuse this: {error}"]
     return []
@@ -113,24 +112,24 @@ def _explained(system: System, wish: Wish, error: InfeasibleError, say: Say) -> 
     if wish.psi or wish.alpha is None:
         smaller = "" if wish.mu is None else "a smaller --mu, or "
         return UserError(f"{error}; {smaller}--method direct may have a solution")
-    mus, found, why = degrees(system) if wish.mu is None else (wish.mu,), {}, error
+    mus, largest, why = degrees(system) if wish.mu is None else (wish.mu,), {}, error
     for mu in mus:
         try:
-            found[mu] = largest_alpha(system, mu, say=say, beta=wish.beta)
+            largest[mu] = largest_alpha(system, mu, say=say, beta=wish.beta)
         except InfeasibleError as none:
             why = none
-    if not found:
+    if not largest:
         smaller = "" if wish.mu is None else "; a smaller --mu may have a solution"
         return UserError(f"{error}; the largest feasible alpha was not found: {why}{smaller}")
-    best = max(found, key=lambda mu: found[mu])
-    if wish.alpha <= found[best]:
-        return UserError(f"{error}, although with mu = {best:g} a P exists up to alpha = {found[best]:.4g} 1/s")
+    best = max(largest, key=lambda mu: largest[mu])
+    if wish.alpha <= largest[best]:
+        return UserError(f"{error}, although with mu = {best:g} a P exists up to alpha = {largest[best]:.4g} 1/s")
     tried = (
         f"mu = {best:g}" if wish.mu is not None else f"mu = {best:g}, the best of {', '.join(map('{:g}'.format, mus))}"
     )
     proven = "" if error.numerical else f"; the dual proves that there is no solution with mu = {mus[-1]:g}"
     return UserError(
-        f"alpha = {wish.alpha:g} 1/s is too large for this gain, the largest feasible one is {found[best]:.4g} 1/s "
+        f"alpha = {wish.alpha:g} 1/s is too large for this gain, the largest feasible one is {largest[best]:.4g} 1/s "
         f"with {tried}{proven}"
     )
 
@@ -144,11 +143,11 @@ def prospect(design: Design, options: Options, direct: bool, say: Say) -> str:
         where = "without d_max any alpha" if options.d_max else "any alpha"
         return f"on the unit ball {', '.join(parts)}; {where} has a solution, a larger one with a smaller ball"
     try:
-        found = f"{largest_alpha_of(design, options, say):.4g} 1/s"
+        largest = f"{largest_alpha_of(design, options, say):.4g} 1/s"
     except InfeasibleError as error:
-        found = f"not found: {error}"
+        largest = f"not found: {error}"
     what = "gain, mu, d_max and scale" if options.d_max else "gain and mu"
-    return f"largest feasible alpha for this {what}: {found}"
+    return f"largest feasible alpha for this {what}: {largest}"
 
 
 def _index(system: System, wish: Wish) -> int:

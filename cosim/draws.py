@@ -7,7 +7,7 @@ are taken from a Sobol set, which covers the unit cube evenly with any number of
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from ihc_fmu.arrays import QUIET
 
-from .scenario import Scenario, offsets
-from .start_values import StartValue
+from .scenario import Scenario
+from .start_values import StartValue, StartValues
 
 Array = np.ndarray
 
@@ -24,6 +24,12 @@ SEED = 1
 """Seed of the scrambling of the Sobol set."""
 
 CONFIDENCE = 0.95
+
+OFFSETS = ("_encoder_offset", "_resolution_offset")
+"""How the names of parameters end that say where inside a count a sensor was zeroed, in counts.
+
+A sensor `y` whose parameter `y_resolution` is 0 does not count, so that its offset means nothing.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +46,23 @@ class Chance:
 PENDULUM = Chance()
 
 
-def chance_of(own: Mapping[str, StartValue]) -> Chance:
+def random_measurement(own: StartValues, seed: int) -> dict[str, StartValue]:
+    """Return encoder offsets drawn uniformly inside a count, and the noise's seed, for a seed of the run.
+
+    `own` are all start values of the plant; nothing is drawn of one that has neither.
+    """
+    names = offsets(own)
+    values = np.random.default_rng(seed).random(len(names))
+    drawn_values: dict[str, StartValue] = {name: float(value) for name, value in zip(names, values, strict=True)}
+    return drawn_values | ({"noise_seed": seed} if "noise_seed" in own else {})
+
+
+def offsets(own: StartValues) -> list[str]:
+    """Return the names of the offsets of a plant's sensors that count, in the order of its variables."""
+    return [name for name in own if name.endswith(OFFSETS) and own.get(name.removesuffix("_offset")) != 0.0]
+
+
+def chance_of(own: StartValues) -> Chance:
     """Return what is drawn of a plant FMU with these start values; false where nothing is."""
     return Chance(tuple(offsets(own)), "noise_seed" in own)
 

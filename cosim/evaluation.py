@@ -327,24 +327,26 @@ class _Found:
         known = self.variables.get(component, {})
         if variable not in known:
             raise UserError(f"evaluate.{entry} names {name!r}, which is no variable{did_you_mean(variable, known)}")
-        found = known[variable]
-        if found.causality != "output" and name not in self.driven:
-            raise UserError(f"evaluate.{entry} takes outputs, and inputs with a signal; {name} is an {found.causality}")
-        if found.type == "String":
+        declared = known[variable]
+        if declared.causality != "output" and name not in self.driven:
+            raise UserError(
+                f"evaluate.{entry} takes outputs, and inputs with a signal; {name} is an {declared.causality}"
+            )
+        if declared.type == "String":
             raise UserError(f"evaluate.{entry} takes numbers; {name} is a String")
         return unit_in(name, self.variables, self.wires)
 
     def error(self, name: str) -> dict[str, Any]:
         """Return an error's description: as the controller is given it, less its set-point."""
-        about: dict[str, Any] = {"signal": name, "unit": self.unit(name, "errors"), "wraps": name in self.angles}
+        description: dict[str, Any] = {"signal": name, "unit": self.unit(name, "errors"), "wraps": name in self.angles}
         wire = self.given.get(name, self.given.get(name.removesuffix(TRUE)))
         if wire is None:
-            return about
+            return description
         variable = wire.target.partition(".")[2]
         if wire.converts:
             seen = unit_of(self.variables[CONTROLLER][variable])
-            about |= {"factor": wire.factor, "offset": wire.offset, "unit": seen}
-        return about | self._set_point(variable)
+            description |= {"factor": wire.factor, "offset": wire.offset, "unit": seen}
+        return description | self._set_point(variable)
 
     def _set_point(self, variable: str) -> dict[str, Any]:
         """Return where the set-point of what the controller is given as `variable` comes from."""
@@ -372,8 +374,8 @@ class _Found:
 
     def _is_real(self, name: str) -> bool:
         component, _, variable = name.partition(".")
-        found = self.variables.get(component, {}).get(variable)
-        return found is None or found.type == "Real"
+        declared = self.variables.get(component, {}).get(variable)
+        return declared is None or declared.type == "Real"
 
 
 def _component(name: str) -> str:

@@ -1,391 +1,32 @@
-"""The comparison of the laws of a controller, or of other choices, in a scenario, over draws of what is left to chance."""
+"""Experiments: a scenario run with each law of its controller, or other choices, over draws of what is left to chance."""
 
 from __future__ import annotations
 
-import csv
-import hashlib
-import io
-import json
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from filing.files import staging, write_file
 from fmu_export.errors import UserError
 from fmu_export.files import FilePath
-from fmu_export.reading import read_json
 from ihc_fmu.pendulum.interface import LAWS
 
 from .campaign import Job, run_all
-from .draws import (
-    PENDULUM,
-    Chance,
-    MeanEstimate,
-    chance_of,
-    change,
-    change_text,
-    drawn,
-    estimate_text,
-    mean,
-    rms_change,
-    root_mean_square,
-)
+from .comparison import Comparison, Draw
+from .coupling import Coupling
+from .draws import PENDULUM, Chance, chance_of, drawn
 from .fmu import Instance
-from .master import Coupling
-from .metrics import (
-    WINDOW,
-    MetricMeaning,
-    Metrics,
-    evaluate,
-    is_pendulum,
-    kept_upright,
-    measure_of,
-    missing_signals,
-    overflow,
-)
+from .judged_signals import kept_upright, missing_signals
+from .metric_meanings import measure_of
+from .metrics import evaluate
 from .names import is_plain
-from .results import Result
-from .scenario import Scenario, build_system, evaluation, files, plant_values, run_scenario, with_tolerances
-from .tables import mark
+from .scenario import Scenario
+from .scenario_files import files
+from .scenario_run import run_scenario, with_tolerances
+from .scenario_system import build_system, evaluation, plant_values
 from .wiring import CONTROLLER
-
-if TYPE_CHECKING:
-    from ihc_fmu.design import Design
-
-    from .plots import Picture
 
 LAW = "controller.start.law"
 """The entry that a comparison varies unless it is told another."""
-ABOUT = "comparison.json"
-
-UNSTEADY = 0.25
-"""Share of draws without a steady state above which a mean over the window is flagged; single runs are wrongly so in a few
-of a hundred."""
-
-FORMAT = "qube-ihc comparison 1"
-
-
-@dataclass(frozen=True)
-class Draw:
-    """One run of a comparison: its law, the draw's number (None: the scenario as it stands), whether the law took over once
-    and acted to the end, the metrics.
-    """
-
-    law: str
-    number: int | None
-    kept: bool
-    metrics: Metrics
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """All draws of a scenario, and each law's full result of a typical draw, for the pictures.
-
-    The typical draw is the one whose steady-state RMS is the median for the first law: the draw is the same for all laws,
-    and chosen by the law that the others are compared with.
-    """
-
-    scenario: Scenario
-    draws: tuple[Draw, ...]
-    results: dict[str, Result]
-    chance: Chance = PENDULUM
-
-    def _repr_html_(self) -> str:
-        """Return what `compare` prints as tables, for notebooks."""
-        from html import escape  # noqa: PLC0415
-
-        from ihc_fmu.html import html_table  # noqa: PLC0415
-
-        remarks = "".join(f"<p>{escape(remark)}</p>" for remark in self.remarks())
-        return "".join(html_table(*table) for table in self.tables()) + remarks
-
-    def rows(self) -> list[list[str]]:
-        """Return a row for each metric with a cell for each law, and one for the draws in which the law acted to the end."""
-        rows = []
-        for q in (self.quantities[name] for name in self.shown):
-            cells = []
-            for law in self.of_law:
-                value = self.value(law, q.name)
-                cells.append(estimate_text(value, q.text) + mark(q, self.steady(law), value.value))
-            rows.append([q.heading, *cells])
-        kept = (f"{self.kept(law)} of {self.count}" for law in self.of_law)
-        return [*rows, ["kept upright" if is_pendulum(self.quantities) else "acting to the end", *kept]]
-
-    def changes(self) -> list[list[str]]:
-        """Return a row for each metric with each other law's change over the first one's."""
-        base, *others = self.of_law
-        quantities = self.quantities
-        names = [name for name in self.shown if quantities[name].role != "capture"]
-        return [
-            [quantities[name].symbol, *(change_text(self.change(law, base, name)) for law in others)] for name in names
-        ]
-
-    def tables(self) -> list[tuple[str, list[str], list[list[str]]]]:
-        """Return title, headings and rows of the means, and of what they say of each law against the first one."""
-        name, count, (base, *others) = self.scenario.name, self.count, self.of_law
-        drawn = (
-            f"means ± 95 % interval over {count} draws of the encoders' offsets (steady RMS: root mean square)"
-            if count > 1
-            else "one run"
-        )
-        tables = [(f"{name}: {drawn}", ["", *self.of_law], self.rows())]
-        if others:
-            drawn = ", in the same draws; ± 95 % interval" if count > 1 else ""
-            tables.append((f"{name}: over {base}{drawn}", ["", *others], self.changes()))
-        return tables
-
-    def plot(self) -> Picture:
-        """Draw what the laws are judged by, over each other, of the typical draw.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            The picture; nothing is written.
-        """
-        from .plots import errors_of  # noqa: PLC0415 - heavy
-
-        return errors_of(self.results)
-
-    def report(
-        self,
-        path: FilePath,
-        *,
-        notes: Sequence[str] = (),
-        design: Design | None = None,
-        folder: FilePath | None = None,
-    ) -> Path:
-        """Write a page about the comparison, HTML in one file: tables, remarks, plots to zoom into, what was run.
-
-        Parameters
-        ----------
-        path
-            The page, `*.html`.
-        notes
-            What is to be known besides the remarks.
-        design
-            The controller's design, whose certificate the page shows; None: no certificate.
-        folder
-            Where `save` writes the comparison to, to whose tables the page has links; None: no links.
-
-        Returns
-        -------
-        pathlib.Path
-            The page.
-
-        Raises
-        ------
-        UserError
-            Where it cannot be written, or would replace a file of somebody else.
-        """
-        from .report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
-
-        base, *others = self.of_law
-        settling = sum(m.role == "settling" for m in self.quantities.values())
-        roles = ("settling", "integral") if settling == 1 else ("settling",)
-        verdicts = []
-        for law in others:
-            for meaning in (m for m in self.quantities.values() if m.role in roles):
-                text = change_text(self.change(law, base, meaning.name))
-                kind = {"better": "good", "worse": "bad"}.get(text.rpartition(" ")[2], "")
-                verdicts.append(Verdict(text, f"{meaning.symbol}, {law} over {base}", kind))
-        tables = [Table(title.partition(": ")[2], headings, rows) for title, headings, rows in self.tables()]
-        return write_results(
-            path,
-            self.results,
-            self.scenario.description or self.scenario.name,
-            Findings(verdicts, tables, notes, self.remarks()),
-            {} if folder is None else {law: Path(folder) / f"{law}.csv" for law in self.results},
-            design,
-        )
-
-    @property
-    def quantities(self) -> Mapping[str, MetricMeaning]:
-        """The system's metrics by name."""
-        return self.draws[0].metrics.quantities
-
-    @property
-    def shown(self) -> list[str]:
-        """The names of the metrics of which means are stated."""
-        return [name for name, q in self.quantities.items() if q.role not in ("trend", "captures")]
-
-    @cached_property
-    def of_law(self) -> dict[str, dict[int | None, Draw]]:
-        """The draws by law and number."""
-        found: dict[str, dict[int | None, Draw]] = {}
-        for draw in self.draws:
-            found.setdefault(draw.law, {})[draw.number] = draw
-        return found
-
-    @property
-    def count(self) -> int:
-        """Number of draws of each law."""
-        return len(self.draws) // len(self.of_law)
-
-    def counted(self, law: str) -> list[Draw]:
-        """Return the draws that the means are over: those in which the law acted to the end, all if in none."""
-        draws = list(self.of_law[law].values())
-        return [d for d in draws if d.kept] or draws
-
-    def kept(self, law: str) -> int:
-        """Return in how many draws the law took over once and acted to the end."""
-        return sum(d.kept for d in self.of_law[law].values())
-
-    def never(self, law: str, name: str) -> int:
-        """Return how many of the counted draws do not have the metric: a time of settling, for one."""
-        return sum(math.isnan(d.metrics.values[name]) for d in self.counted(law))
-
-    def steady(self, law: str) -> bool:
-        """Return whether the window at the end is a steady state, in at least three quarters of the counted draws."""
-        draws = self.counted(law)
-        return sum(not d.metrics.steady for d in draws) <= UNSTEADY * len(draws)
-
-    def value(self, law: str, name: str) -> MeanEstimate:
-        """Return a metric's mean (of steady_rms, the root mean square) over the counted draws, with its interval.
-
-        A draw that never settles or captures counts the run's duration. NaN where all do, or one has no number.
-        """
-        draws = self.counted(law)
-        if self.never(law, name) == len(draws):
-            return MeanEstimate(math.nan)
-        values = np.array([self._number(d, name) for d in draws])
-        return root_mean_square(values) if self.quantities[name].over_draws == "rms" else mean(values)
-
-    def change(self, law: str, base: str, name: str) -> MeanEstimate:
-        """Return by which part the metric's mean with `law` lies above that with `base`, over the draws that both count.
-
-        NaN where there is no such draw, one of them has no value at all, or no steady state to compare: none, or zero.
-        """
-        quantity = self.quantities[name]
-        numbers = [{d.number: self._number(d, name) for d in self.counted(one)} for one in (law, base)]
-        both = [n for n in numbers[0] if n in numbers[1]]
-        none = any(self.never(one, name) == len(self.counted(one)) for one in (law, base))
-        if none or (quantity.of_window and not (self.steady(law) and self.steady(base))):
-            return MeanEstimate(math.nan)
-        values, bases = (np.array([of[n] for n in both]) for of in numbers)
-        if quantity.role == "rms" and max(np.max(values, initial=0.0), np.max(bases, initial=0.0)) < quantity.zero:
-            return MeanEstimate(math.nan)
-        return rms_change(values, bases) if quantity.over_draws == "rms" else change(values, bases)
-
-    def _number(self, draw: Draw, name: str) -> float:
-        value = float(draw.metrics.values[name])
-        return self.scenario.run.duration if math.isnan(value) and self.quantities[name].never else value
-
-    def unsettled(self, law: str) -> int:
-        """Return in how many of the counted draws something never settled."""
-        names = [q.name for q in self.quantities.values() if q.role == "settling"]
-        return sum(any(math.isnan(d.metrics.values[name]) for name in names) for d in self.counted(law))
-
-    def remarks(self) -> list[str]:
-        """Return what has to be known to read the means."""
-        said = []
-        laws = list(self.of_law)
-        lost = {law: self.count - self.kept(law) for law in laws}
-        if any(lost.values()):
-            several = ", ".join(f"{law} {n}" for law, n in lost.items())
-            what = "pendulum lost" if is_pendulum(self.quantities) else "law not acting to the end"
-            said.append(f"{what}, and not in the means unless in all draws: {several} of {self.count}")
-        if not self.chance:
-            said.append(
-                "nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all"
-            )
-        beyond = {law: overflow(result) for law, result in self.results.items()}
-        said += [f"{law}: {text}" for law, text in beyond.items() if text]
-        late = {law: self.unsettled(law) for law in laws}
-        if self.count > 1 and any(late.values()):
-            several = ", ".join(f"{law} {n}" for law, n in late.items())
-            said.append(f"never settled, counted as {self.scenario.run.duration:g} s: {several} of {self.count}")
-        loose = [law for law in laws if not self.steady(law)]
-        if loose:
-            said.append(
-                f"* not steady: {self._norm} of {', '.join(loose)} has a trend over the last {WINDOW:g} s, or the run is "
-                "shorter; make run.duration longer"
-            )
-        return said
-
-    @property
-    def _norm(self) -> str:
-        return measure_of(self.quantities, "rms").symbol.removeprefix("steady RMS ")
-
-    def save(self, folder: FilePath, pictures: Callable[[Path], object] | None = None) -> None:
-        """Write each law's result, all draws as comparison.csv, what `pictures` writes to a folder, and comparison.json.
-
-        The last has the means, and under `files` the SHA-256 of each of the others. They reach `folder` together, and
-        what an earlier comparison has left there and this one does not replace is removed.
-        """
-        folder = Path(folder)
-        earlier = _files_of(folder / ABOUT)
-        with staging(folder, last=ABOUT) as place:
-            self._save(place)
-            if pictures is not None:
-                pictures(place)
-            about = {**self.about(), "files": _digests(place)}
-            write_file(place / ABOUT, json.dumps(about, indent=1) + "\n")
-        for name in earlier.keys() - about["files"].keys():
-            if _sha256(folder / name) == earlier[name]:
-                (folder / name).unlink()
-
-    def _save(self, folder: Path) -> None:
-        for law, result in self.results.items():
-            result.save(folder / f"{law}.csv")
-        offsets, names = self.chance.offsets, list(self.quantities)
-        lines = [_row("law", "draw", *offsets, "kept", *names)]
-        for d in self.draws:
-            start = self.scenario.plant.start
-            if d.number is not None:
-                start = drawn(self.scenario, d.number, self.chance).plant.start
-            about = ["" if d.number is None else d.number, *(start.get(name, "") for name in offsets)]
-            lines.append(_row(d.law, *about, int(d.kept), *(repr(d.metrics.values[n]) for n in names)))
-        write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
-
-    def about(self) -> dict[str, Any]:
-        """Return the means, their intervals and the changes from the first law on, safe for JSON."""
-        base, *others = self.of_law
-        laws: dict[str, Any] = {}
-        for law in self.of_law:
-            laws[law] = {name: _pair(self.value(law, name)) for name in self.shown}
-            laws[law] |= {"kept": self.kept(law), "steady": self.steady(law)}
-            laws[law]["never_settled"] = self.unsettled(law)
-        return {
-            "format": FORMAT,
-            "scenario": self.scenario.model_dump(mode="json"),
-            "draws": self.count,
-            "laws": laws,
-            "change": {law: {name: _pair(self.change(law, base, name)) for name in self.shown} for law in others},
-            "remarks": self.remarks(),
-        }
-
-
-def _row(*cells: object) -> str:
-    """Return a line of a table; names of FMUs may have commas, quotes and line breaks in them."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(cells)
-    return text.getvalue()
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    return {path.name: _sha256(path) for path in sorted(folder.iterdir())}
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
-
-
-def _files_of(path: Path) -> dict[str, str]:
-    """Return the digests by plain names that an earlier comparison.json holds; none where there is no such thing."""
-    try:
-        files = read_json(path, "comparison")["files"]
-        return {str(name): str(digest) for name, digest in files.items() if Path(name).name == name}
-    except (UserError, LookupError, TypeError, AttributeError):  # not there, or another's: nothing of it is ours
-        return {}
-
-
-def _pair(estimate: MeanEstimate) -> list[float | None]:
-    return [None if math.isnan(v) else v for v in (estimate.value, estimate.half_width)]
 
 
 @dataclass(frozen=True)
@@ -482,10 +123,10 @@ def run_experiments(
         for number in experiment.numbers
         for law in laws
     ]
-    found = run_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
+    judged = run_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
     comparisons = []
     for s, experiment in enumerate(experiments):
-        draws = tuple(Draw(law, n, *found[s, law, n]) for law in laws for n in experiment.numbers)
+        draws = tuple(Draw(law, n, *judged[s, law, n]) for law in laws for n in experiment.numbers)
         if len({tuple(draw.metrics.quantities) for draw in draws}) > 1:
             raise UserError(
                 f"runs of different {experiment.entry} are judged by different signals; evaluate says which"

@@ -130,11 +130,11 @@ class Instance:
 
     def require(self, name: str, causality: str, unit: str) -> None:
         """Raise UserError where the FMU has no real input or output `name` of that unit."""
-        found = self.variable(name)
-        if (found.causality, found.type, found.unit or "1") != (causality, "Real", unit):
+        variable = self.variable(name)
+        if (variable.causality, variable.type, variable.unit or "1") != (causality, "Real", unit):
             raise UserError(
-                f"{self.path}: {name} must be a real {causality} in {unit}, found {found.type} {found.causality} in "
-                f"{found.unit or '1'}"
+                f"{self.path}: {name} must be a real {causality} in {unit}, found {variable.type} {variable.causality} in "
+                f"{variable.unit or '1'}"
             )
 
     def item(self, name: str, item: str) -> int | None:
@@ -194,15 +194,15 @@ class Instance:
             ("Integer", {"Integer", "Enumeration"}, ctypes.c_int),
             ("Boolean", {"Boolean"}, ctypes.c_int),
         ):
-            chosen = tuple(name for name in names if self.variables[name].type in types)
-            if chosen:
-                references = [self.variables[name].valueReference for name in chosen]
+            group = tuple(name for name in names if self.variables[name].type in types)
+            if group:
+                references = [self.variables[name].valueReference for name in group]
                 function = f"fmi2{direction}{kind}"
                 call = self._fmu.dll[function]
                 call.restype = ctypes.c_int
-                size = len(chosen)
+                size = len(group)
                 call.argtypes = [ctypes.c_void_p, ctypes.POINTER(ctypes.c_uint), ctypes.c_size_t, ctypes.POINTER(ctype)]
-                ports.append(Port(chosen, (ctypes.c_uint * size)(*references), (ctype * size)(), call, function))
+                ports.append(Port(group, (ctypes.c_uint * size)(*references), (ctype * size)(), call, function))
         return ports
 
     def transfer(self, ports: list[Port]) -> None:

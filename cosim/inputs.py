@@ -226,17 +226,17 @@ def read_columns(
     rows = csv.reader(io.StringIO(read_text(path, kind), newline=""))
     try:
         names = [name.strip() for name in next(rows, [])]
-        chosen = ("time", *choose(names))
-        twice = next((name for name in chosen if names.count(name) > 1), None)
+        wanted = ("time", *choose(names))
+        twice = next((name for name in wanted if names.count(name) > 1), None)
         if twice is not None:
             raise UserError(f"{path} must have the column {twice} once, found {', '.join(names)}")
-        places = [names.index(name) for name in chosen]
+        places = [names.index(name) for name in wanted]
         lines = [_numbers(path, row, places, line) for line, row in enumerate(rows, 2) if row]
     except csv.Error as error:
         raise UserError(f"{path} is not a table: {error}") from None
     if not lines:
         raise UserError(f"{path} must have at least one row below its heading")
-    columns = dict(zip(chosen, zip(*lines, strict=True), strict=True))
+    columns = dict(zip(wanted, zip(*lines, strict=True), strict=True))
     times = columns["time"]
     late = next((k for k in range(1, len(times)) if not times[k] > times[k - 1]), None)
     if late is not None:
@@ -254,8 +254,8 @@ def _numbers(path: Path, row: Sequence[str], places: Sequence[int], line: int) -
             f"{path}: line {line} must have a number in each column, found {', '.join(row)[:60]!r}"
         ) from None
     if not all(map(math.isfinite, values)):
-        found = " and ".join(f"{value}" for value in values)
-        raise UserError(f"{path}: line {line} must have finite numbers, found {found}")
+        text = " and ".join(f"{value}" for value in values)
+        raise UserError(f"{path}: line {line} must have finite numbers, found {text}")
     return values
 
 

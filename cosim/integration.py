@@ -178,10 +178,10 @@ class IntegratedInstance(ModelInstance):
                 self.fail(f"{error.function} at t = {time!r} s", error.status)
             self._reason = f"{error.function} at t = {time!r} s returned {status_text(error.status)}"
             return np.full(count, np.nan)
-        found = np.array(self._rates)
-        if not np.isfinite(found).all():
+        rates = np.array(self._rates)
+        if not np.isfinite(rates).all():
             self._reason = f"the derivatives at t = {time!r} s are not finite"
-        return found
+        return rates
 
     def _place(self, time: float, x: Array) -> None:
         """Bring the FMU to a point; events are not made."""

@@ -119,7 +119,7 @@ class Plant(ABC):
 
     def _counting(self, C: Array) -> list[str]:
         """Return what to do about outputs that do not change because they are counted, as the linear plants name it."""
-        found = []
+        advice = []
         for output, row in zip(self.outputs, C, strict=True):
             resolution = self.variables.get(f"{output.name}_resolution")
             if row.any() or resolution is None or resolution.causality != "parameter":
@@ -128,12 +128,12 @@ class Plant(ABC):
             true = f"{output.name}_true"
             other = f", or take --output {true}" if true in self.variables else ""
             if value:
-                found.append(
+                advice.append(
                     f"{output.name} is counted ({resolution.name} = {value:g}): --set {resolution.name}=0{other}"
                 )
-        return found
+        return advice
 
-    def model(self, z: Array, matrices: tuple[Array, ...], y: Array, notes: list[str], **about: Any) -> LinearModel:
+    def model(self, z: Array, matrices: tuple[Array, ...], y: Array, notes: list[str], **rest: Any) -> LinearModel:
         """Return the model with names, units and limits; outputs that are states have exactly their rows and values."""
         A, B, C, D = matrices
         names = self.names[: self.n]
@@ -151,7 +151,7 @@ class Plant(ABC):
             notes=(*notes, *_blind(self.outputs, C), *self._counting(C)),
             lower=np.array([bound_of(v, "min", -math.inf) for v in self.inputs]),
             upper=np.array([bound_of(v, "max", math.inf) for v in self.inputs]),
-            **about,
+            **rest,
         )
 
 
@@ -197,15 +197,15 @@ class ModelExchangePlant(Plant):
         """Return the linear model about z; `notes` are added to its own."""
         sizes = self.sizes(z)
         rows = [*(f"{v.name}'" for v in self.states), *(v.name for v in self.outputs)]
-        found = jacobian(self._values, z, sizes)
-        J, error = found.J, found.error
+        numeric = jacobian(self._values, z, sizes)
+        J, error = numeric.J, numeric.error
         if self._directional:
             J = self._directional_jacobian(z)
-            check_contradiction(J, found, sizes, rows, self.names, self._counting(J[self.n :, : self.n]))
-            error = np.where(np.isfinite(found.error), np.abs(J - found.J), 0.0)
-            check_smooth(Jacobian(J, error, found.kink), sizes, rows, self.names)
+            check_contradiction(J, numeric, sizes, rows, self.names, self._counting(J[self.n :, : self.n]))
+            error = np.where(np.isfinite(numeric.error), np.abs(J - numeric.J), 0.0)
+            check_smooth(Jacobian(J, error, numeric.kink), sizes, rows, self.names)
         else:
-            check_smooth(found, sizes, rows, self.names)
+            check_smooth(numeric, sizes, rows, self.names)
             J = np.where(np.abs(J) <= error, 0.0, J)
         worst = float(relative(error, J, sizes).max(initial=0.0))
         method = "directional derivatives, checked by differences" if self._directional else "differences"

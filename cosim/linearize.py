@@ -89,13 +89,20 @@ def linear_model(
         that does not say enough.
     FmuError
         Where it fails at its start values.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> model = cosim.linear_model("fmus/arm_linear_plant.fmu", inputs=["u1"])
+    >>> model.A.round(6).tolist()
+    [[0.0, 1.0], [4.0, 0.0]]
     """
     plant = open_plant(Path(path), tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal
     with closing(plant), deferred_interrupt() as plant.interrupt, quiet:
-        z, chosen, fixed = _beginning(plant, dict(at or {}), tuple(free))
+        z, movable, fixed = _beginning(plant, dict(at or {}), tuple(free))
         try:
-            z, notes = _equilibrium(plant, z, chosen, fixed)
+            z, notes = _equilibrium(plant, z, movable, fixed)
             model = finite_model(plant.linear(z, notes))
             plant.look()
             return model
@@ -135,22 +142,22 @@ def _beginning(plant: Plant, at: dict[str, float], free: tuple[str, ...]) -> tup
     return z, sorted(moved), fixed
 
 
-def _equilibrium(plant: Plant, z: Array, chosen: Sequence[int], fixed: Mapping[int, float]) -> tuple[Array, list[str]]:
+def _equilibrium(plant: Plant, z: Array, movable: Sequence[int], fixed: Mapping[int, float]) -> tuple[Array, list[str]]:
     """Return z of the equilibrium and what is to be said of it; raises UserError where there is none."""
-    found = _searched(plant, z, chosen)
-    if _at_rest(plant, found, plant.rates_jacobian(found)):
-        return found, []
+    equilibrium = _searched(plant, z, movable)
+    if _at_rest(plant, equilibrium, plant.rates_jacobian(equilibrium)):
+        return equilibrium, []
     near = _searched(plant, z, range(plant.n))
     if _at_rest(plant, near, plant.rates_jacobian(near)) and (np.abs(near - z) <= NEAR * plant.sizes(z)).all():
         return near, _moved(plant, z, near, fixed)
-    raise UserError(_no_equilibrium(plant, z, chosen, fixed))
+    raise UserError(_no_equilibrium(plant, z, movable, fixed))
 
 
-def _searched(plant: Plant, z: Array, chosen: Sequence[int]) -> Array:
+def _searched(plant: Plant, z: Array, movable: Sequence[int]) -> Array:
     """Return what the search ends at, with zeros for numbers that are zero but for rounding."""
-    found = solve(plant.rates, plant.rates_jacobian, z, chosen, plant.sizes(z))
-    rounded = np.where(np.abs(found) <= ROUNDING * plant.sizes(z), 0.0, found)
-    return rounded if _at_rest(plant, rounded, plant.rates_jacobian(rounded)) else found
+    solution = solve(plant.rates, plant.rates_jacobian, z, movable, plant.sizes(z))
+    rounded = np.where(np.abs(solution) <= ROUNDING * plant.sizes(z), 0.0, solution)
+    return rounded if _at_rest(plant, rounded, plant.rates_jacobian(rounded)) else solution
 
 
 def _at_rest(plant: Plant, z: Array, J: Array) -> bool:
@@ -170,7 +177,7 @@ def _moved(plant: Plant, z: Array, near: Array, fixed: Iterable[int]) -> list[st
     ]
 
 
-def _no_equilibrium(plant: Plant, z: Array, chosen: Sequence[int], fixed: Mapping[int, float]) -> str:
+def _no_equilibrium(plant: Plant, z: Array, movable: Sequence[int], fixed: Mapping[int, float]) -> str:
     """Return what keeps the plant from rest at z, where the search began; where it ended derivatives may mean nothing."""
     rates, J = plant.rates(z), plant.rates_jacobian(z)
     worst = int(np.argmax(np.abs(rates) / _allowed(plant, z, J)))
@@ -180,7 +187,7 @@ def _no_equilibrium(plant: Plant, z: Array, chosen: Sequence[int], fixed: Mappin
     j = int(np.argmax(np.abs(missing)))
     hint = f"; {plant.names[j]} is what would have to change" if np.abs(missing[j]) > NEAR else ""
     unit = unit_of(plant.states[worst])
-    held = [v.name for j, v in enumerate(plant.inputs) if plant.n + j not in {*chosen, *fixed}]
+    held = [v.name for j, v in enumerate(plant.inputs) if plant.n + j not in {*movable, *fixed}]
     free = f"free an input (--free {shlex.quote(held[0])}), or hold" if held else "hold"
     return (
         f"there is no equilibrium near {', '.join((*given, *stays)) or 'the start values'}: {plant.names[worst]}' "

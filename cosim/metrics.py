@@ -6,43 +6,23 @@ What is judged is the result's own word, see `evaluation`: errors with their set
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Literal
 
 import numpy as np
 
 from ihc_fmu.arrays import QUIET
-from ihc_fmu.pendulum.supervisor import Mode
 
 from .errors import UserError
-from .evaluation import (
-    ACTING,
-    NO_UNIT,
-    SHARE,
-    SWING_UP,
-    TOLERANCE,
-    ErrorSignal,
-    Evaluation,
-    evaluation_in,
-    pendulum_evaluation,
-)
+from .evaluation import ACTING, SHARE, TOLERANCE, Evaluation, evaluation_in
+from .judged_signals import angle_norm, error_norm, missing_signals, takeovers
+from .metric_meanings import WINDOW, ZERO, MetricMeaning, measure_of, quantities_of
 from .recording import Recording
 
 Array = np.ndarray
 
-STABILIZING = int(Mode.STABILIZING)
-"""Value of the output `mode` of the pendulum's controller while the stabilizing law acts."""
-
-MOST = math.sqrt(sys.float_info.max)
-"""Magnitude of a signal whose square is finite."""
 LEAST = 1e-300
 """Tolerance of an |e| that stays 0."""
-WINDOW = 3.0
-"""The steady state is looked at over the last seconds of a run [s]."""
-
 PARTS = 6
 """Into how many parts the window is divided to look for a trend."""
 
@@ -51,46 +31,6 @@ SURE, MATERIAL = 2.0, 1.1
 
 TREND_T = 3.747
 """Student's t of a trend's slope that happens by chance in 2 % of stationary windows (two-sided, PARTS - 2 degrees)."""
-
-ZERO = 0.01
-"""RMS |e| that counts as zero, in tolerances: what still decays there is steady. Of the pendulum a fifteenth of a count."""
-
-
-Role = Literal["settling", "integral", "rms", "trend", "energy", "peak", "variation", "capture", "captures"]
-
-
-@dataclass(frozen=True, slots=True)
-class MetricMeaning:
-    """A metric as tables, pictures and texts show it.
-
-    `role` is what it says, `group` the numbers of the errors or controls that it is said of. `over_draws`: how it is
-    averaged over draws, by its mean or its root mean square. `of_window`: it is a statement about the steady state.
-    `never`: what NaN means; such a draw counts the run's duration. `zero`: what counts as zero.
-    """
-
-    name: str
-    symbol: str
-    unit: str
-    meaning: str
-    role: Role
-    group: tuple[int, ...] = ()
-    over_draws: Literal["mean", "rms"] = "mean"
-    of_window: bool = False
-    never: bool = False
-    zero: float = 0.0
-
-    @property
-    def heading(self) -> str:
-        """The symbol with its unit."""
-        return f"{self.symbol} [{self.unit}]" if self.unit else self.symbol
-
-    def text(self, value: float) -> str:
-        """Return a value as text without its unit."""
-        if math.isnan(value):
-            return "never" if self.never else "–"
-        if value < self.zero:
-            return f"< {self.zero:g}"
-        return f"{value:.4g}"
 
 
 @dataclass(frozen=True)
@@ -119,6 +59,17 @@ class Metrics:
         The numbers by name.
     quantities
         What they mean: symbol, unit, role.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> metrics = cosim.evaluate(cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0}))
+    >>> round(metrics.peak, 2), metrics.steady
+    (1.37, False)
+    >>> metrics.as_dict()["peak"] == metrics.peak
+    True
+    >>> metrics.quantities["peak"].heading
+    'peak |u1|'
     """
 
     values: Mapping[str, float]
@@ -144,148 +95,6 @@ class Metrics:
             A copy of `values`.
         """
         return dict(self.values)
-
-
-@dataclass(frozen=True)
-class _Words:
-    """How a kind of system names its metrics."""
-
-    integral: str = "integral_e2"
-    peak: str = "peak"
-    variation: str = "control_variation"
-    norm: str = "e"
-
-
-_WORDS = {"general": _Words(), "pendulum": _Words("integral_q2", "peak_voltage", "voltage_variation", "q")}
-
-
-def squared(unit: str) -> str:
-    """Return the square of a unit, empty where there is none."""
-    return "" if unit == NO_UNIT else f"{unit}²" if unit.isalpha() else f"({unit})²"
-
-
-@lru_cache(maxsize=64)
-def quantities_of(evaluation: Evaluation) -> dict[str, MetricMeaning]:
-    """Return every metric of a system by its name in files, in the order of tables."""
-    words = _WORDS[evaluation.kind]
-    groups = zip(evaluation.error_groups.items(), evaluation.settled, strict=True)
-    errors = [_error_quantities(evaluation, words, suffix, group, within) for (suffix, group), within in groups]
-    controls = [
-        _control_quantities(evaluation, words, suffix, group) for suffix, group in evaluation.control_groups.items()
-    ]
-    found = [q for some in (*errors, *controls) for q in some]
-    if evaluation.mode is not None and evaluation.mode.value(SWING_UP) is not None:
-        found += [
-            MetricMeaning("capture_time", "capture", "s", "the stabilizing law first acts", "capture", never=True),
-            MetricMeaning("captures", "captures", "", "how often the stabilizing law took over", "captures"),
-        ]
-    return {q.name: q for q in found}
-
-
-def _error_quantities(
-    evaluation: Evaluation, words: _Words, suffix: str, group: tuple[int, ...], tolerance: float | None
-) -> list[MetricMeaning]:
-    unit = evaluation.error_unit(group)
-    shown = "" if unit == NO_UNIT else unit
-    e = f"|{words.norm}|" if not suffix else f"|{words.norm} {evaluation.errors[group[0]].name}|"
-    of = f" {e}" if suffix else ""
-    within = f"{100 * SHARE:g} % of its largest" if tolerance is None else f"{tolerance:g} {shown}".rstrip()
-    return [
-        MetricMeaning(
-            f"settling_time{suffix}",
-            f"settling{of}",
-            "s",
-            f"from then on {e} ≤ {within} to the end of the run",
-            "settling",
-            group,
-            never=True,
-        ),
-        MetricMeaning(
-            f"{words.integral}{suffix}",
-            f"∫{e}² dt",
-            f"{squared(unit)} s".strip(),
-            "over the run, by the trapezoidal rule",
-            "integral",
-            group,
-        ),
-        MetricMeaning(
-            f"steady_rms{suffix}",
-            f"steady RMS {e}",
-            shown,
-            f"over the last {WINDOW:g} s",
-            "rms",
-            group,
-            over_draws="rms",
-            of_window=True,
-            zero=0.0 if tolerance is None else ZERO * tolerance,
-        ),
-        MetricMeaning(
-            f"steady_trend{suffix}",
-            f"steady trend{of}",
-            "",
-            f"RMS of {e} in the window's first half over that in its second; 1: steady",
-            "trend",
-            group,
-        ),
-    ]
-
-
-def _control_quantities(
-    evaluation: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]
-) -> list[MetricMeaning]:
-    unit = evaluation.controls[group[0]].unit
-    shown = "" if unit == NO_UNIT else unit
-    names = [evaluation.controls[k].name for k in group]
-    pendulum = evaluation.kind == "pendulum"
-    one = "V" if pendulum else names[0] if len(group) == 1 else "u"
-    called = "voltage" if pendulum else one if len(group) == 1 else "controls"
-    energy = f"∫{one}² dt" if len(group) == 1 else "∫Σu² dt"
-    held = "voltage" if pendulum else "controls"
-    peaks = [
-        MetricMeaning(
-            f"{words.peak}{suffix if len(group) == 1 else f'[{evaluation.controls[k].signal}]'}",
-            f"peak |{'V' if pendulum else evaluation.controls[k].name}|",
-            shown,
-            "over the run",
-            "peak",
-            (k,),
-        )
-        for k in group
-    ]
-    return [
-        MetricMeaning(
-            f"energy{suffix}",
-            energy,
-            f"{squared(unit)} s".strip(),
-            f"over the run, exact for the held {held}",
-            "energy",
-            group,
-        ),
-        *peaks,
-        MetricMeaning(
-            f"{words.variation}{suffix}",
-            f"variation of {one}",
-            f"{shown or '1'}/s",
-            f"total variation of the {called} per second over the last {WINDOW:g} s, the measure of chattering",
-            "variation",
-            group,
-            of_window=True,
-        ),
-    ]
-
-
-QUANTITIES = quantities_of(pendulum_evaluation({}))
-"""The pendulum's metrics by their names in files."""
-
-
-def is_pendulum(quantities: Mapping[str, MetricMeaning]) -> bool:
-    """Return whether these are the pendulum's metrics."""
-    return quantities == QUANTITIES
-
-
-def measure_of(quantities: Mapping[str, MetricMeaning], role: Role) -> MetricMeaning:
-    """Return the first metric of a role."""
-    return next(q for q in quantities.values() if q.role == role)
 
 
 @QUIET
@@ -321,117 +130,15 @@ def unsteady(metrics: Metrics) -> str:
     if metrics.steady:
         return ""
     trends = {q.symbol: metrics.values[q.name] for q in metrics.quantities.values() if q.role == "trend"}
-    symbol, found = next((symbol, value) for symbol, value in trends.items() if value != 1.0)
-    if math.isnan(found):
+    symbol, ratio = next((symbol, value) for symbol, value in trends.items() if value != 1.0)
+    if math.isnan(ratio):
         return f"no steady state can be told: the run is shorter than {WINDOW:g} s, or has too few rows there"
-    times = found if found > 1.0 else 1.0 / found
+    times = ratio if ratio > 1.0 else 1.0 / ratio
     e = symbol.removeprefix("steady trend").strip() or measure_of(metrics.quantities, "rms").symbol.split()[-1]
     return (
-        f"no steady state: over the last {WINDOW:g} s RMS {e} {'falls' if found > 1.0 else 'grows'} {times:.3g} times "
+        f"no steady state: over the last {WINDOW:g} s RMS {e} {'falls' if ratio > 1.0 else 'grows'} {times:.3g} times "
         "from half to half; a longer run would tell"
     )
-
-
-def wrapped(angle: Array) -> Array:
-    """Return angles [rad] wrapped to (-pi, pi]."""
-    return -((math.pi - angle) % (2.0 * math.pi) - math.pi)
-
-
-def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) -> list[str]:
-    """Return which signals the metrics need besides the `known` ones; without an evaluation the pendulum's."""
-    there = dict.fromkeys(known)
-    needed = (evaluation or pendulum_evaluation(there)).signals
-    return [name for name in needed if name not in there]
-
-
-def can_evaluate(result: Recording) -> bool:
-    """Return whether `result` has the signals that its metrics need."""
-    evaluation = evaluation_in(result)
-    if not evaluation.errors or missing_signals(result.signals, evaluation):
-        return False
-    if evaluation.mode is None:
-        return True
-    mode = result[evaluation.mode.signal]
-    return bool(np.all(np.isfinite(mode)) and np.array_equal(mode, np.rint(mode)))  # another's may be anything
-
-
-@QUIET
-def at_rest(result: Recording) -> bool:
-    """Return whether no error and no control changes in a run, and each error is 0 but for rounding; needs a judged one."""
-    evaluation = evaluation_in(result)
-    if not can_evaluate(result):
-        return False
-    signals = [result[s.signal] for s in (*evaluation.errors, *evaluation.controls)]
-    errors = [(error(result, e), given(result, e)) for e in evaluation.errors]
-    return all(np.ptp(s) == 0.0 for s in signals) and all(np.all(np.abs(e) <= 1e-12 * np.abs(y)) for e, y in errors)
-
-
-@QUIET
-def overflow(result: Recording) -> str:
-    """Return in a sentence which judged signal or control first leaves the range of numbers; empty where none does.
-
-    Beyond MOST its square is infinite, and so are the metrics. Needs a result that can be evaluated.
-    """
-    evaluation = evaluation_in(result)
-    signals = [(e.signal, error(result, e)) for e in evaluation.errors]
-    signals += [(c.signal, np.asarray(result[c.signal])) for c in evaluation.controls]
-    rows = [(np.flatnonzero(~(np.abs(s) < MOST)), name) for name, s in signals]
-    found = [(float(result.time[beyond[0]]), name) for beyond, name in rows if beyond.size]
-    if not found:
-        return ""
-    time, name = min(found)
-    return f"the numbers overflow: {name} is not finite, or beyond {MOST:.2g}, whose square is not, from {time:g} s on"
-
-
-def can_draw(result: Recording) -> bool:
-    """Return whether a result that can be evaluated has what its pictures need besides: the pendulum's the norm."""
-    evaluation = evaluation_in(result)
-    return evaluation.kind != "pendulum" or evaluation.norm in result.signals
-
-
-@QUIET
-def error(result: Recording, signal: ErrorSignal) -> Array:
-    """Return an error at each row: what the controller is given of a signal, less its set-point."""
-    e, point = given(result, signal), set_point(result, signal)
-    if point is not None:
-        e = e - point
-    return wrapped(e) if signal.wraps else e
-
-
-def given(result: Recording, signal: ErrorSignal) -> Array:
-    """Return a judged signal at each row, as the controller is given it."""
-    return _converted(result[signal.signal], signal.factor, signal.offset)
-
-
-def set_point(result: Recording, signal: ErrorSignal) -> Array | None:
-    """Return an error's set-point at each row; None where it has none."""
-    if signal.set_point is not None:
-        return _converted(result[signal.set_point], signal.point_factor, signal.point_offset)
-    return np.full(len(result.time), signal.constant) if signal.constant else None
-
-
-def _converted(signal: Array, factor: float, offset: float) -> Array:
-    plain = np.asarray(signal, dtype=float)
-    return plain if factor == 1.0 and offset == 0.0 else factor * plain + offset
-
-
-@QUIET
-def error_norm(result: Recording, evaluation: Evaluation, group: Sequence[int]) -> Array:
-    """Return |e| of a group of errors at each row, each over its scale where there are scales."""
-    errors = [error(result, evaluation.errors[k]) for k in group]
-    if evaluation.scales is not None:
-        errors = [e / evaluation.scales[k] for k, e in zip(group, errors, strict=True)]
-    if len(errors) == 1:
-        return np.abs(errors[0])
-    return np.hypot(*errors) if len(errors) == 2 else np.sqrt(sum(e**2 for e in errors))
-
-
-def angle_norm(result: Recording) -> Array:
-    """Return |q| [rad] of the pendulum at each row: of the true angles where the result has them, else of the measured."""
-    evaluation = evaluation_in(result)
-    if evaluation.kind != "pendulum" or any(e.signal not in result.signals for e in evaluation.errors):
-        raise UserError("the result has neither plant.theta and plant.delta nor the encoders' angles")
-    return error_norm(result, evaluation, (0, 1))
 
 
 def settling_time(time: Array, q: Array, tolerance: float) -> float:
@@ -440,22 +147,6 @@ def settling_time(time: Array, q: Array, tolerance: float) -> float:
     if not outside.size:
         return float(time[0])
     return float(time[outside[-1] + 1]) if outside[-1] + 1 < len(time) else math.nan
-
-
-def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:
-    """Return the rows at which the stabilizing law takes over, from the controller's output `mode` and its value then."""
-    acts = mode == stabilizing
-    return np.flatnonzero(acts & ~np.concatenate([[False], acts[:-1]]))
-
-
-def kept_upright(result: Recording) -> bool:
-    """Return whether the stabilizing law took over once and acts at the end; without such a mode, whether all is finite."""
-    evaluation = evaluation_in(result)
-    acts = None if evaluation.mode is None else evaluation.mode.value(ACTING)
-    if evaluation.mode is None or acts is None:
-        return all(bool(np.all(np.isfinite(result[name]))) for name in evaluation.signals)
-    mode = result[evaluation.mode.signal]
-    return takeovers(mode, acts).size == 1 and bool(mode[-1] == acts)
 
 
 def variation_rate(time: Array, signal: Array) -> float:
@@ -493,6 +184,14 @@ def evaluate(result: Recording, tolerance: float | None = None, steady: float = 
     ------
     UserError
         For a result without the signals, or with fewer than two rows.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> result = cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> metrics = cosim.evaluate(result)
+    >>> print(f"{metrics.values['settling_time[plant.angle]']:.2f} s")
+    1.48 s
     """
     if len(result.time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(result.time)}")
@@ -517,12 +216,12 @@ def evaluate_alike(results: Mapping[str, Recording]) -> dict[str, Metrics]:
         for name, evaluation in evaluations.items():
             if None in evaluation.settled:
                 whole[name] = evaluation.model_copy(update={"tolerances": widest})
-    found = {name: _judged(results[name], evaluation) for name, evaluation in whole.items()}
-    quantities = next(iter(found.values())).quantities
-    other = next((name for name, m in found.items() if m.quantities != quantities), None)
+    judged = {name: _judged(results[name], evaluation) for name, evaluation in whole.items()}
+    quantities = next(iter(judged.values())).quantities
+    other = next((name for name, m in judged.items() if m.quantities != quantities), None)
     if other is not None:
         raise UserError(f"results side by side must be judged by the same signals, and {other} is judged by others")
-    return found
+    return judged
 
 
 def _check(result: Recording, evaluation: Evaluation) -> None:

@@ -11,15 +11,18 @@ import numpy as np
 
 from fmu_export.files import FilePath
 
+from .coupling import Coupling
 from .errors import UserError
 from .evaluation import Evaluation, evaluation_in, pendulum_evaluation
 from .fmu_files import describe
 from .inputs import read_columns
-from .master import Coupling
-from .metrics import missing_signals, wrapped
+from .judged_signals import missing_signals, wrapped
 from .provenance import provenance
 from .results import Result
-from .scenario import Scenario, build_system, check_found, files, run_scenario
+from .scenario import Scenario
+from .scenario_files import check_fmus_exist, files
+from .scenario_run import run_scenario
+from .scenario_system import build_system
 from .typed import checked
 
 LEAST_ROWS = 2
@@ -156,5 +159,5 @@ def other_files(result: Result, scenario: Scenario, fmus: Path, folder: Path) ->
     """Return the names of the FMUs that are not the files that the run was made with, by their GUIDs."""
     used = provenance(result).fmus
     paths = files(scenario, fmus, folder).fmus
-    check_found(paths)
+    check_fmus_exist(paths)
     return [path.name for name, path in paths.items() if name in used and describe(path).guid != used[name].guid]

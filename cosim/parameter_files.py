@@ -65,7 +65,7 @@ def save(path: FilePath, parameters: ParameterSet) -> None:
     write_file(path, f"# {WRITTEN}\n" + tomli_w.dumps(entries))
 
 
-def chosen(name_or_file: str, folder: FilePath | None = None) -> ParameterSet:
+def named_set(name_or_file: str, folder: FilePath | None = None) -> ParameterSet:
     """Return the named set, or that of a file as `file_of` finds it; raises UserError where there is neither."""
     path = file_of(name_or_file, folder)
     if path is not None:

@@ -56,29 +56,29 @@ def measured(outputs: list[str], measurement: str) -> dict[str, str]:
 
 def plant_start(parameters: str | None, folder: FilePath | None) -> dict[str, StartValue]:
     """Return the start values of a parameter set, or of a file of one; none for None."""
-    return {} if parameters is None else dict(plant_start_values(parameter_files.chosen(parameters, folder)))
+    return {} if parameters is None else dict(plant_start_values(parameter_files.named_set(parameters, folder)))
 
 
 def controller_start(
-    own: StartValues, chosen: StartValues, step: float, design: Path | None, measurement: str
+    own: StartValues, scenario_start: StartValues, step: float, design: Path | None, measurement: str
 ) -> dict[str, StartValue]:
-    """Return the controller's start values: those `chosen` in the scenario, and those that follow from what it says.
+    """Return the controller's start values: those `scenario_start` in the scenario, and those that follow from what it says.
 
     `own` are those with which it was exported, `step` [s] is the run's.
     """
     start: dict[str, StartValue] = {}
     if own.get("sample_time") == CONTROLLER.step_size:  # not chosen at export
         low, high = SAMPLE_TIMES
-        if not low <= step <= high and "sample_time" not in chosen:
+        if not low <= step <= high and "sample_time" not in scenario_start:
             raise UserError(
                 f"run.step, as the controller's sample time, must lie in [{low:g}, {high:g}] s, found {step:g} s"
             )
         start["sample_time"] = step
     if design is not None:
-        start |= _design_values(design, chosen.get("voltage_limit", own.get("voltage_limit")))
+        start |= _design_values(design, scenario_start.get("voltage_limit", own.get("voltage_limit")))
     if measurement == "ideal":
         start["velocity_source"] = "inputs"
-    start |= chosen
+    start |= scenario_start
     source = start.get("velocity_source", own.get("velocity_source"))
     if source in ("kalman", VELOCITY_SOURCES.index("kalman") + 1):
         start = _kalman_values(own, start) | start

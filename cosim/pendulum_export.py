@@ -97,13 +97,13 @@ def _planned(
     from plant_fmu.native_unit import NATIVE as PLANT
     from plant_fmu.slave import QubeServo2
 
-    from .parameter_files import chosen
+    from .parameter_files import named_set
+    from .pendulum import WIRES
     from .pendulum_match import misfit
-    from .scenario import WIRES
 
     check_order(design)
     wires = [(w.source, w.target) for w in WIRES["encoders"]]
-    plant_set, nominal_set = chosen(parameters), chosen(nominal)
+    plant_set, nominal_set = named_set(parameters), named_set(nominal)
     changes = {"plant": {}, "controller": {}, **changes}
     A, b, k_lin = design.A, design.b, design.k_lin
     sliding = fitted_smc(A, b) if smc is Smc.fitted else linear_pole_smc(A, b, k_lin)

@@ -194,9 +194,9 @@ def _misfit(design_key: _Key, plant_key: _Key) -> str | None:
     d = distance(design, plant)
     if d.fits:
         return None
-    found = min(_explanations(design, plant), key=len, default=None)
-    if found is not None:
-        return f"the controller was designed for another model than the plant's: {'; '.join(found)}"
+    explanation = min(_explanations(design, plant), key=len, default=None)
+    if explanation is not None:
+        return f"the controller was designed for another model than the plant's: {'; '.join(explanation)}"
     near = d.stiffness <= LARGEST_DISTANCE and d.angle <= LARGEST_ANGLE and GAINS[0] <= d.gain <= GAINS[1]
     if near and d.kinematics > KINEMATICS:
         return "the controller was designed for another model than the plant's: its last two states are no rates"
@@ -215,7 +215,7 @@ def _explanations(design: Model, plant: Model) -> Iterator[list[str]]:
     The design's state is x_d = S Pi x: Pi permutes, S scales and turns signs.
     """
     hanging = Model(plant.A * np.where(np.arange(len(STATES)) == 1, -1.0, 1.0), plant.b)  # gravity the other way
-    for about, real in ((), plant), (("it is linearized about the hanging pendulum",), hanging):
+    for place, real in ((), plant), (("it is linearized about the hanging pendulum",), hanging):
         for order in permutations(range(len(STATES))):
             A, b = real.A[np.ix_(order, order)], real.b[list(order)]
             S = _scaling(design, A, b)
@@ -224,7 +224,7 @@ def _explanations(design: Model, plant: Model) -> Iterator[list[str]]:
             back = np.argsort(order)
             turned = Model((design.A / np.outer(S, 1.0 / S))[np.ix_(back, back)], (design.b / S)[back])
             if distance(turned, real).fits:
-                yield [*about, *_differences(order, S)]
+                yield [*place, *_differences(order, S)]
 
 
 def _scaling(design: Model, A: Array, b: Array) -> Array | None:

@@ -27,6 +27,7 @@ from .linear_plants import CoarseModel, Plant
 from .linearize import open_plant
 from .plant_variables import START, HiddenStatesError, unit_of
 from .start_values import StartValue
+from .wire_factors import ComparedWire
 
 Array = np.ndarray
 
@@ -38,22 +39,6 @@ COUNTS = 20.0
 """How many counts of a sensor they go at least."""
 TRUE, RESOLUTION = "_true", "_resolution"
 """How names in linear plants end: a state that an output has the name of, and a parameter, the step of a sensor; 0: none."""
-
-
-@dataclass(frozen=True)
-class ComparedWire:
-    """A wire: the plant's variable, the number of the controller's among its own, target = factor source + offset.
-
-    `asked`: the factor that the units at both ends ask for, None where these do not say; `declared`: whether both declare
-    theirs.
-    """
-
-    name: str
-    number: int
-    factor: float
-    offset: float
-    asked: float | None = None
-    declared: bool = False
 
 
 @dataclass(frozen=True)
@@ -85,7 +70,7 @@ class Question:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class WiredPlant:
     """The plant as it is seen, and where: the values of its states and inputs.
 
     `moving`: what does not rest there, in words, None where all does. `placed`: whether all states had their places.
@@ -97,27 +82,27 @@ class Found:
     placed: bool
 
 
-def judged(question: Question) -> Found | str:
+def judged(question: Question) -> WiredPlant | str:
     """Return the plant where its controller is to hold it, else why it cannot be evaluated.
 
     A wire's mistaken factor moves the equilibrium besides. Where the plant does not rest at the one behind the wires, but at
     the same numbers before them, the latter is taken; so where it cannot be evaluated at the former.
     """
-    wired = found(question)
-    if question.places == question.unconverted or (isinstance(wired, Found) and wired.moving is None):
+    wired = plant_at(question)
+    if question.places == question.unconverted or (isinstance(wired, WiredPlant) and wired.moving is None):
         return wired
-    plain = found(replace(question, places=question.unconverted))
-    if not isinstance(plain, Found):
+    plain = plant_at(replace(question, places=question.unconverted))
+    if not isinstance(plain, WiredPlant):
         return wired
-    return plain if not isinstance(wired, Found) or (plain.moving is None and _apart(plain, wired)) else wired
+    return plain if not isinstance(wired, WiredPlant) or (plain.moving is None and _apart(plain, wired)) else wired
 
 
-def _apart(a: Found, b: Found) -> bool:
+def _apart(a: WiredPlant, b: WiredPlant) -> bool:
     return not all(np.isclose(a.values[name], value, 1e-6, 1e-9) for name, value in b.values.items())
 
 
 @lru_cache(maxsize=64)  # a campaign's runs have few plants
-def found(question: Question) -> Found | str:
+def plant_at(question: Question) -> WiredPlant | str:
     """Return the plant at the question's places, else why it cannot be evaluated there."""
     try:
         plant = open_plant(
@@ -135,7 +120,7 @@ def found(question: Question) -> Found | str:
     try:
         with closing(plant), deferred_interrupt() as plant.interrupt, np.errstate(all="ignore"):
             plant.deadline = time.monotonic() + LONGEST
-            return _found(plant, question)
+            return _plant_at(plant, question)
     except (UserError, FmuError, EvaluationError, np.linalg.LinAlgError) as error:
         return str(error)
 
@@ -147,16 +132,16 @@ def _exact(path: Path) -> dict[str, StartValue]:
     return {name: 0.0 for name in own if name.endswith(RESOLUTION) and name.removesuffix(RESOLUTION) in outputs}
 
 
-def _found(plant: Plant, question: Question) -> Found | str:
+def _plant_at(plant: Plant, question: Question) -> WiredPlant | str:
     places = dict(question.places)
     states = [places.get(v.name, places.get(v.name.removesuffix(TRUE))) for v in plant.states]
     own = {name.removesuffix(TRUE) for name in plant.names[: plant.n]}
     if places:  # not where the run begins, but where the controller is to hold it
         plant.start = {name: value for name, value in plant.start.items() if name.removesuffix(START) not in own}
     z = plant.begin()
-    chosen = [*states, *(places.get(v.name) for v in plant.inputs)]
-    z = np.array([value if place is None else place.value for value, place in zip(z, chosen, strict=True)])
-    widths = np.array([_width(size, place) for size, place in zip(plant.sizes(z), chosen, strict=True)])
+    wanted = [*states, *(places.get(v.name) for v in plant.inputs)]
+    z = np.array([value if place is None else place.value for value, place in zip(z, wanted, strict=True)])
+    widths = np.array([_width(size, place) for size, place in zip(plant.sizes(z), wanted, strict=True)])
     model = plant.coarse(z, widths, question.span)
     plant.look()
     if not all(np.isfinite(M).all() for M in (model.A, model.B, model.C, model.D, model.rates)):
@@ -165,7 +150,7 @@ def _found(plant: Plant, question: Question) -> Found | str:
     if seen is None:
         return "its sensors count too coarsely for differences"
     values = dict(zip(plant.names, z.tolist(), strict=True))
-    return Found(seen, values, _moving(plant, model, widths), None not in states)
+    return WiredPlant(seen, values, _moving(plant, model, widths), None not in states)
 
 
 def _width(size: float, place: Place | None) -> float:
@@ -181,12 +166,12 @@ def _seen(plant: Plant, model: CoarseModel, question: Question) -> Seen | None:
     ports = sorted(told, key=lambda port: port.number)
     if not ports:
         return None
-    chosen, factors = [names.index(port.name) for port in ports], np.array([port.factor for port in ports])
+    rows, factors = [names.index(port.name) for port in ports], np.array([port.factor for port in ports])
     columns = sorted({port.number for port in question.inputs})
     onto = np.zeros((plant.m, len(columns)))
     for j, port in enumerate(question.inputs):
         onto[j, columns.index(port.number)] = port.factor
-    C, D = model.C[chosen] * factors[:, None], model.D[chosen] * factors[:, None] @ onto
+    C, D = model.C[rows] * factors[:, None], model.D[rows] * factors[:, None] @ onto
     return Seen(model.A, model.B @ onto, C, D, tuple(port.number for port in ports), tuple(columns))
 
 

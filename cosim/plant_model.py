@@ -57,6 +57,16 @@ class LinearModel:
         How it was found, in words.
     notes
         What is to be known of it.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> model = cosim.linear_model("fmus/arm_linear_plant.fmu", inputs=["u1"])
+    >>> [str(quantity) for quantity in model.states], model.x_eq.tolist()
+    (['angle_true [rad]', 'rate_true [rad/s]'], [0.0, 0.0])
+    >>> system = model.system().with_lqr([1.0, 1.0], [1.0])
+    >>> system.name
+    'arm_linear_plant'
     """
 
     name: str
@@ -99,8 +109,8 @@ class LinearModel:
         """
         for i in np.flatnonzero(~self.C.any(axis=1)):
             output = self.outputs[i].name
-            about = [note for note in self.notes if note.startswith(f"{output} is counted")]
-            raise UserError("; ".join(about) or f"the output {output} does not change with the states: leave it out")
+            counted = [note for note in self.notes if note.startswith(f"{output} is counted")]
+            raise UserError("; ".join(counted) or f"the output {output} does not change with the states: leave it out")
         for i, j in np.argwhere(self.D != 0.0):
             raise UserError(
                 f"the output {self.outputs[i].name} depends on {self.inputs[j].name} directly (D = {self.D[i, j]:.4g}), "

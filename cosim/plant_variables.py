@@ -87,10 +87,10 @@ def _chosen(instance: Instance, names: Sequence[str], known: Sequence[str], what
     return tuple(instance.variables[name] for name in _bounded(names, f"{what}s"))
 
 
-def _bounded(found: Sequence[Any], what: str) -> list[Any]:
-    if len(found) > MOST_VARIABLES:
-        raise UserError(f"a model must have at most {MOST_VARIABLES} {what}, found {len(found)}")
-    return list(found)
+def _bounded(variables: Sequence[Any], what: str) -> list[Any]:
+    if len(variables) > MOST_VARIABLES:
+        raise UserError(f"a model must have at most {MOST_VARIABLES} {what}, found {len(variables)}")
+    return list(variables)
 
 
 def _check_once(names: Sequence[str], what: str) -> None:
@@ -108,11 +108,11 @@ def index_of(name: str, known: Sequence[str], what: str) -> int:
 
 def quantities(variables: Sequence[ScalarVariable]) -> tuple[Quantity, ...]:
     """Return names and units; raise UserError for a name that a system file cannot hold."""
-    found = tuple(Quantity(v.name, unit_of(v)) for v in variables)
-    for quantity in found:
+    named = tuple(Quantity(v.name, unit_of(v)) for v in variables)
+    for quantity in named:
         if Quantity.parse(str(quantity)) != quantity:
             raise UserError(f"a system file cannot hold the name {shown(quantity.name)} in {shown(quantity.unit)}")
-    return found
+    return named
 
 
 def _attribute(variable: ScalarVariable, name: str) -> Any:

@@ -20,7 +20,7 @@ from fmu_export.files import FilePath
 from ihc_fmu.pendulum.interface import LAWS
 
 from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
-from .metrics import error_norm, given, set_point, wrapped
+from .judged_signals import error_norm, given, set_point, wrapped
 from .recording import Recording
 
 

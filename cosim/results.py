@@ -61,6 +61,20 @@ class Result(Recording):
     ----------
     time, signals, units, metadata
         As of `Recording`.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> result = cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> result.units["plant.angle"], float(result["plant.angle"][0])
+    ('rad', 0.1)
+    >>> result.to_dataframe().shape, len(result.plot("plant.angle").axes)
+    ((3001, 11), 1)
+    >>> result.report("tilted.html").name
+    'tilted.html'
+    >>> result.save("tilted.csv")
+    >>> bool((cosim.Result.load("tilted.csv").time == result.time).all())
+    True
     """
 
     def plot(self, *names: str) -> Picture:
@@ -82,7 +96,7 @@ class Result(Recording):
         UserError
             For a signal that is not there, or a result without rows.
         """
-        from .metrics import can_draw, can_evaluate  # noqa: PLC0415 - heavy
+        from .judged_signals import can_draw, can_evaluate  # noqa: PLC0415 - heavy
         from .plots import overview, panels_of  # noqa: PLC0415
 
         if not len(self.time) or not self.signals:
@@ -95,7 +109,8 @@ class Result(Recording):
         """Return the metrics as a table, or without them the signals, for notebooks."""
         from ihc_fmu.html import html_table  # noqa: PLC0415
 
-        from .metrics import can_evaluate, evaluate, unsteady  # noqa: PLC0415 - heavy
+        from .judged_signals import can_evaluate  # noqa: PLC0415 - heavy
+        from .metrics import evaluate, unsteady  # noqa: PLC0415 - heavy
         from .tables import metric_rows  # noqa: PLC0415
 
         end = f", until {self.time[-1]:g} s" if len(self.time) else ""
@@ -163,12 +178,12 @@ class Result(Recording):
         if path.suffix != ".csv":
             raise UserError(f"a result goes into a file named *.csv, found {path}")
         columns = [self.time, *self.signals.values()]
-        about = {"units": self.units, "metadata": self.metadata}
+        contents = {"units": self.units, "metadata": self.metadata}
         with uninterrupted():
             table = [_names(["time", *self.signals]) + b"\n"]
             for k in range(0, len(self.time), ROWS_AT_ONCE):
                 table.append(_csv([c[k : k + ROWS_AT_ONCE] for c in columns]) + b"\n")
-            header = {"format": FORMAT, "rows": len(self.time), "sha256": _sha256(table), **about}
+            header = {"format": FORMAT, "rows": len(self.time), "sha256": _sha256(table), **contents}
             header["description_sha256"] = _seal(header)
             write_files({path: table, path.with_suffix(".json"): json.dumps(header, indent=1) + "\n"})
 
@@ -233,6 +248,16 @@ class SimulationError(RuntimeError):
         When [s].
     instance
         Which FMU.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> plant = cosim.Component("plant", "fmus/arm_linear_plant.fmu", {"angle_0": 1e300})
+    >>> try:
+    ...     cosim.simulate(cosim.SystemStructure([plant]), step=0.1, duration=100.0)
+    ... except cosim.SimulationError as error:
+    ...     print(f"{error.instance} at {error.time:.1f} s, {len(error.result.time)} rows")
+    plant at 9.1 s, 92 rows
     """
 
     def __init__(self, message: str, result: Result, time: float, instance: str) -> None:
@@ -247,6 +272,18 @@ class Interrupted(KeyboardInterrupt):
     ----------
     result
         Everything recorded until then.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> plant = cosim.Component("plant", "fmus/arm_linear_plant.fmu")
+    >>> def press(done, steps):
+    ...     raise KeyboardInterrupt
+    >>> try:
+    ...     cosim.simulate(cosim.SystemStructure([plant]), 1e-3, 1.0, engine="fmpy", progress=press)
+    ... except cosim.Interrupted as interrupted:
+    ...     print(f"{interrupted.result.time[-1]:.3f} s")
+    0.256 s
     """
 
     def __init__(self, result: Result) -> None:
@@ -257,10 +294,10 @@ class Interrupted(KeyboardInterrupt):
 def _description(path: Path) -> dict[str, Any]:
     """Return the description of a table, checked against its own digest; raise UserError for another file."""
     header = parse_json(read_text(path, "result"), path, finite=False)
-    found = header.get("format") if isinstance(header, dict) else None
-    if found in EARLIER_FORMATS:
+    version = header.get("format") if isinstance(header, dict) else None
+    if version in EARLIER_FORMATS:
         raise UserError(f"{path} is of an earlier version, which kept no digest of the table; make the result again")
-    if found != FORMAT:
+    if version != FORMAT:
         raise UserError(f"{path} is not the description of a result, whose format is {FORMAT!r}")
     digest = header.pop("description_sha256", None)
     if digest != _seal(header):

@@ -69,9 +69,9 @@ def free_memory() -> int | None:
     """Return the memory that is free or can be freed [byte], within a container's limit; None where nobody says."""
     if sys.platform == "win32":
         return _free_on_windows()
-    found = [size for size in (_available(), _left_in_group()) if size is not None]
-    if found:
-        return min(found)
+    limits = [size for size in (_available(), _left_in_group()) if size is not None]
+    if limits:
+        return min(limits)
     try:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
     except (ValueError, OSError):

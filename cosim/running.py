@@ -10,14 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from fmu_export.files import FilePath
 
-from .pendulum_export import export_units
-from .scenario import Scenario, build_system, load_located, remarks, rest_remarks, run_scenario
-from .system_export import export_system
+from .remarks import remarks_after, remarks_before, rest_remarks
+from .scenario import Scenario, load_located
+from .scenario_run import run_scenario
+from .scenario_system import build_system
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from .experiments import Comparison
+    from .comparison import Comparison
     from .results import Result
 
 
@@ -50,14 +51,18 @@ def export(
 
     See Also
     --------
-    cosim.system_export.export_system, cosim.pendulum_export.export_units : with platforms and Python FMUs.
+    cosim.design_export.export_design : with platforms, Python FMUs, and the pendulum's parameter sets.
 
+    Examples
+    --------
+    >>> import cosim, ihc_fmu
+    >>> arm = ihc_fmu.System(A=[[0, 1], [4, 0]], B=[[0], [1]], K=[[-8, -4]], name="arm")
+    >>> [path.name for path in cosim.export(ihc_fmu.synthesize(arm), "exported")]
+    ['arm_linear_plant.fmu', 'arm_controller.fmu', 'arm.ssp']
     """
-    from ihc_fmu.system import PENDULUM  # noqa: PLC0415 - heavy
+    from .design_export import export_design  # noqa: PLC0415 - heavy
 
-    if design.system.name == PENDULUM:
-        return export_units(design, output=Path(folder), changes=changes)
-    return export_system(design, Path(folder), changes)
+    return export_design(design, folder, changes)
 
 
 def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None, fmus: FilePath = "fmus") -> Result:
@@ -87,14 +92,21 @@ def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None,
     Warns
     -----
     UserWarning
-        For what is to be known of the run: start values that no certificate covers, a plant at rest, and the like.
+        For what is to be known of the run: start values that no certificate covers, a plant at rest, numbers that
+        overflow, and the like.
 
+    Examples
+    --------
+    >>> import cosim
+    >>> result = cosim.run("fmus/arm.ssp", {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> bool(abs(result["plant.angle"][-1]) < 1e-4)
+    True
     """
-    chosen, folder, place = _located(scenario, changes, fmus)
-    system = build_system(chosen, place, folder)
-    _warn(remarks(system, chosen))
-    result = run_scenario(chosen, place, folder)
-    _warn(rest_remarks(result, system))
+    located, folder, place = _located(scenario, changes, fmus)
+    system = build_system(located, place, folder)
+    _warn(remarks_before(system, located))
+    result = run_scenario(located, place, folder)
+    _warn(remarks_after(result, system))
     return result
 
 
@@ -137,20 +149,23 @@ def compare(
     UserWarning
         As `run`.
 
+    Examples
+    --------
+    >>> import cosim
+    >>> comparison = cosim.compare("fmus/arm.ssp", ["LC", "IHC"], {"plant.start.angle_0": 0.1, "run.duration": 3.0})
+    >>> [f"{comparison.value(law, 'peak').value:.2f}" for law in ("LC", "IHC")]
+    ['0.80', '1.37']
     """
-    from .experiments import (  # noqa: PLC0415 - heavy
-        LAWS,
-        Experiment,
-        laws_of,
-        run_experiments,
-    )
+    from .experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
 
-    chosen, folder, place = _located(scenario, changes, fmus)
+    located, folder, place = _located(scenario, changes, fmus)
     if laws is None:
-        laws = [law for law in laws_of(chosen, place, folder) if law in LAWS]
-    _warn(remarks(build_system(chosen, place, folder), chosen))
-    (found,) = run_experiments([Experiment(chosen, folder, draws)], place, laws, workers)
-    return found
+        laws = [law for law in laws_of(located, place, folder) if law in LAWS]
+    system = build_system(located, place, folder)
+    _warn(remarks_before(system, located))
+    (comparison,) = run_experiments([Experiment(located, folder, draws)], place, laws, workers)
+    _warn([*comparison.overflows(), *rest_remarks(next(iter(comparison.results.values())), system)])
+    return comparison
 
 
 def _located(
@@ -159,8 +174,8 @@ def _located(
     """Return the scenario with its changes, its folder and the folder of its FMUs."""
     if isinstance(scenario, Scenario):
         return scenario.changed(changes or {}), Path(), Path(fmus)
-    chosen, folder, place = load_located(os.fspath(scenario), Path(fmus))
-    return chosen.changed(changes or {}), folder, place
+    loaded, folder, place = load_located(os.fspath(scenario), Path(fmus))
+    return loaded.changed(changes or {}), folder, place
 
 
 def _warn(sentences: Sequence[str]) -> None:

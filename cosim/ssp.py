@@ -135,15 +135,15 @@ class _Reader:
     def _placed(self, components: Mapping[str, ET.Element]) -> dict[str, Path]:
         """Put the components' FMUs into one folder; return their paths there."""
         sources = {name: self._source(element) for name, element in components.items()}
-        place, found = self.folder / FMUS, {}
+        place, placed = self.folder / FMUS, {}
         place.mkdir(exist_ok=True)
         for name, source in sources.items():
             twins = {other for other in sources.values() if other.name.casefold() == source.name.casefold()}
             plain = is_plain(source.name) and len(twins) == 1
-            found[name] = place / (source.name if plain else f"{name}.fmu")
-            if not found[name].exists():
-                shutil.copyfile(source, found[name])
-        return found
+            placed[name] = place / (source.name if plain else f"{name}.fmu")
+            if not placed[name].exists():
+                shutil.copyfile(source, placed[name])
+        return placed
 
     def _source(self, element: ET.Element) -> Path:
         """Return the path of a component's FMU."""
@@ -163,7 +163,7 @@ class _Reader:
 
     def _values(self, element: ET.Element) -> dict[str, StartValue]:
         """Return the start values of an element's parameter bindings, later ones before earlier ones."""
-        found: dict[str, StartValue] = {}
+        values: dict[str, StartValue] = {}
         for binding in element.iterfind(f"{{{SSD}}}ParameterBindings/{{{SSD}}}ParameterBinding"):
             if binding.find(f"{{{SSD}}}ParameterMapping") is not None:
                 raise UserError(
@@ -171,8 +171,8 @@ class _Reader:
                 )
             for parameter in self._set(binding).iterfind(f"{{{SSV}}}Parameters/{{{SSV}}}Parameter"):
                 name = binding.get("prefix", "") + parameter.get("name", "")
-                found[name] = _value(name, parameter)
-        return found
+                values[name] = _value(name, parameter)
+        return values
 
     def _set(self, binding: ET.Element) -> ET.Element:
         """Return the parameter set of a binding: inside it, or its file."""
@@ -255,9 +255,9 @@ class _Reader:
         duration = max(stops, default=DURATION) if stop is None else _number(stop, "stopTime")
         if experiment is not None and _number(experiment.get("startTime", "0"), "startTime") != 0.0:
             raise UserError(f"the run must begin at 0 s, found startTime {experiment.get('startTime')}")
-        about = {"description": self.root.get("description", "") or self.root.get("name", "")}
+        described = {"description": self.root.get("description", "") or self.root.get("name", "")}
         run = {"step": step if math.isfinite(step) else STEP, "duration": duration}
-        return {**about, "run": run, "wires": wires, **both, "components": parts}
+        return {**described, "run": run, "wires": wires, **both, "components": parts}
 
 
 def _interface(component: ET.Element) -> str | None:
@@ -321,8 +321,8 @@ def write(path: FilePath, name: str, system: SystemStructure, duration: float, s
     connections = root.findall(f".//{{{SSD}}}Connection")
     for wire, connection in zip(system.wires, connections, strict=True):
         if wire.converts:
-            about = {"factor": repr(wire.factor), "offset": repr(wire.offset)}
-            ET.SubElement(connection, f"{{{SSC}}}LinearTransformation", about)
+            attributes = {"factor": repr(wire.factor), "offset": repr(wire.offset)}
+            ET.SubElement(connection, f"{{{SSC}}}LinearTransformation", attributes)
     for master in root.iter(f"{{{OMS}}}FixedStepMaster"):
         master.set("stepSize", repr(step))
     ET.SubElement(root, f"{{{SSD}}}DefaultExperiment", startTime="0.0", stopTime=repr(duration))

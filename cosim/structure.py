@@ -27,6 +27,13 @@ class Component:
     interface
         "CoSimulation": by the FMU's own steps; "ModelExchange": integrated by SciPy; None: CoSimulation where the FMU has
         it.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> plant = cosim.Component("plant", "fmus/arm_linear_plant.fmu", {"angle_0": 0.1})
+    >>> plant.path.name, plant.start
+    ('arm_linear_plant.fmu', {'angle_0': 0.1})
     """
 
     name: str
@@ -61,6 +68,14 @@ class Wire:
         By which the value is multiplied.
     offset
         What is added then, in the unit of the target.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> cosim.Wire("plant.angle", "controller.angle").converts
+    False
+    >>> cosim.Wire("plant.millimetres", "controller.position", factor=1e-3).converts
+    True
     """
 
     source: str
@@ -86,6 +101,13 @@ class Signal:
         Of the time [s].
     recorded
         Whether the input is recorded as outputs are: a row has the value of the step that ended there.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> push = cosim.Signal("plant.u1", lambda time: 2.0 if time >= 1.0 else 0.0)
+    >>> push.ahead(start_time=0.0, step=0.5, first=0, count=4)
+    [0.0, 0.0, 2.0, 2.0]
     """
 
     target: str
@@ -126,6 +148,18 @@ class SystemStructure:
         The connections between them.
     signals
         What acts on free inputs from outside.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> plant = cosim.Component("plant", "fmus/arm_linear_plant.fmu")
+    >>> controller = cosim.Component("controller", "fmus/arm_controller.fmu")
+    >>> names = ["angle", "rate"]
+    >>> wires = [cosim.Wire(f"plant.{name}", f"controller.{name}") for name in names]
+    >>> wires.append(cosim.Wire("controller.u1", "plant.u1"))
+    >>> system = cosim.SystemStructure([controller, plant], wires)
+    >>> [component.name for component in system.components]
+    ['controller', 'plant']
     """
 
     components: Sequence[Component]

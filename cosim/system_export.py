@@ -133,10 +133,10 @@ def _planned(
     plant = shown_interface(system)
     kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires_of(system))
     inside = {DESIGN_FILE: design.to_json().encode()}
-    about = plant_notes(system), controller_notes(design, regulator.estimator)
+    notes = plant_notes(system), controller_notes(design, regulator.estimator)
     plans = (
-        _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], about[0], {}),
-        _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], about[1], inside),
+        _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], notes[0], {}),
+        _Plan(CONTROLLER, HomogeneousController, interface, hidden, changes["controller"], notes[1], inside),
     )
     for plan in plans:
         plan.check()  # refuse both before writing either

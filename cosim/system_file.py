@@ -32,11 +32,11 @@ def write(path: FilePath, model: LinearModel, comment: str = "") -> System:
     check_replaceable(path)
     text = "\n".join((_above(path, system), LINE, *(f"# {line}" for line in comment.splitlines()), _below(system)))
     try:
-        found = System.from_dict(parse_toml(text, path))
+        system = System.from_dict(parse_toml(text, path))
     except UserError as error:
         raise UserError(f"what stands above the line in {path} does not fit the model: {error}") from None
     write_file(path, text)
-    return found
+    return system
 
 
 def _above(path: Path, system: System) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from .metrics import MetricMeaning, Metrics
+from .metric_meanings import MetricMeaning
+from .metrics import Metrics
 
 
 def metric_rows(metrics: Metrics) -> list[tuple[str, str]]:

@@ -12,13 +12,10 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from filing.files import staging, write_file
 from fmu_export.files import FilePath
 from fmu_export.variables import Value
 from ihc_fmu.design import Design
@@ -27,22 +24,22 @@ from ihc_fmu.options import Options
 from ihc_fmu.pendulum.start_values import design_values
 
 from .campaign import Job, Journal, Numbers, run_numbers
+from .comparison import UNSTEADY
 from .draws import Chance, MeanEstimate, chance_of, change, drawn, mean, rms_change, root_mean_square
 from .errors import UserError
-from .experiments import UNSTEADY, check_outputs, laws_of
-from .metrics import QUANTITIES, MetricMeaning, evaluate, is_pendulum, kept_upright, quantities_of
+from .experiments import check_outputs, laws_of
+from .judged_signals import kept_upright
+from .metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities_of
+from .metrics import evaluate
 from .pendulum import is_controller
-from .plots import OTHERS, literal, save_figure
 from .results import Result
-from .scenario import Scenario, controller_values, evaluation, files, plant_values
+from .scenario import Scenario
+from .scenario_system import controller_values, evaluation, plant_values
 
 ROLES = ("integral", "rms", "settling", "energy", "variation")
 """What can be tuned by: smaller is better."""
 MEASURES = tuple(q.name for role in ROLES for q in QUANTITIES.values() if q.role == role)
 """The pendulum's metrics to tune by."""
-
-WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
-"""What `save` writes."""
 
 PURPOSE = "tuning: numbers 2"
 """Named in the journal; to be changed with `numbers`."""
@@ -128,8 +125,8 @@ class Tuning:
 
 def chattering_of(quantities: Mapping[str, MetricMeaning]) -> MetricMeaning | None:
     """Return the one metric of chattering; None where there is none, or one for each of several units."""
-    found = [q for q in quantities.values() if q.role == "variation"]
-    return found[0] if len(found) == 1 else None
+    variations = [q for q in quantities.values() if q.role == "variation"]
+    return variations[0] if len(variations) == 1 else None
 
 
 @dataclass(frozen=True)
@@ -196,11 +193,11 @@ class TuningProblem:
         d = self.design
         if d is None:
             return {(None, None): None}
-        found: dict[Family, Design | None] = {}
+        designs: dict[Family, Design | None] = {}
         for mu in grid.mu:
             solved = inverse_design(d.system, Options(mu=mu, alpha=d.alpha, u_max=1.0))
-            found |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
-        return found
+            designs |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
+        return designs
 
     def at(self, point: Point, design: Design | None) -> Scenario:
         """Return the scenario with the IHC of a point."""
@@ -260,9 +257,9 @@ def tune(
             for scenario in [problem.at(point, designs[point.mu, point.u_max])]
             for draw in problem.numbers
         ]
-        found = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
-        for point in dict.fromkeys(key[0] for key in found):
-            runs[point] = [found[point, draw] for draw in problem.numbers]
+        by_key = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
+        for point in dict.fromkeys(key[0] for key in by_key):
+            runs[point] = [by_key[point, draw] for draw in problem.numbers]
             outcomes[point] = _outcome(point, runs[point], runs[start], problem)
 
     down = sorted(grid.a_min, reverse=True)
@@ -328,102 +325,3 @@ def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
             break
         here = step
     return here
-
-
-def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]:
-    """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
-
-    FMUs and tables that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
-    point is a scenario only.
-    """
-    best = tuning.best.point
-    design = tuning.designs[best.mu, best.u_max]
-    own: dict[str, object] = {"record.every": 1}
-    if design is not None:
-        own["controller.design"] = "best.json"
-    point: dict[str, object] = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
-    start = {f"controller.start.{name}": value for name, value in point.items()}
-    scenario = problem.scenario.changed({**own, **start}).to_toml()
-    used = files(problem.scenario, problem.fmus, problem.folder)
-    fmus = [path for path in used.fmus.values() if path.parent.absolute() != Path(problem.fmus).absolute()]
-    drawn = f"means of {len(problem.numbers)} draws" if problem.chance else "one run each"
-    title = (
-        f"{problem.scenario.name}: {tuning.quantities[tuning.measure].symbol} and chattering, {drawn}\n"
-        "square: where the rule stops; triangle: there with b_max raised"
-    )
-    folder = Path(folder)
-    with staging(folder) as place:
-        write_file(place / "tuning.csv", _table(tuning))
-        for path in dict.fromkeys([*fmus, *used.tables.values()]):
-            write_file(place / path.name, path.read_bytes())
-        write_file(place / "best.toml", scenario)
-        if design is not None:
-            design.save(place / "best.json")
-        save_figure(_landscape(tuning), place / "landscape.png", title)
-    return [folder / name for name in WRITTEN_FILES if design is not None or name != "best.json"]
-
-
-def _table(tuning: Tuning) -> str:
-    """Return all points as CSV."""
-    variation = tuning.chattering
-    name = "variation" if variation is None else variation.name
-    lines = [f"mu,u_max,a_min,b_max,{_cell(tuning.measure)},over_lc,interval,{_cell(name)},kept,draws,stop"]
-    for point, o in sorted(tuning.outcomes.items(), key=lambda item: _order(item[0])):
-        over = (o.over_linear.value, o.over_linear.half_width)
-        row = (*point, o.measure, *over, o.chattering, o.kept, o.draws, int(point in tuning.stops))
-        lines.append(",".join("" if value is None else repr(value) for value in row))
-    return "\n".join(lines) + "\n"
-
-
-def _cell(name: str) -> str:
-    """Return a heading; names of FMUs may have commas, quotes and line breaks in them."""
-    return '"' + name.replace('"', '""') + '"' if set(name) & set(',"\r\n') else name
-
-
-def _order(point: Point) -> tuple[float, float, float]:
-    return (point.mu or 0.0, point.u_max or 0.0, -point.a_min)
-
-
-def _landscape(tuning: Tuning) -> Figure:
-    """Return the measure, and below it the chattering where the system has one, over a_min; a column for each mu."""
-    mus = list(dict.fromkeys(point.mu for point in tuning.outcomes))
-    rows = {"measure": tuning.quantities[tuning.measure]}
-    if tuning.chattering is not None:
-        rows["chattering"] = tuning.chattering
-    figure = Figure(figsize=(4.2 * len(mus) + 1, 3.5 * len(rows)), layout="constrained")
-    panels = figure.subplots(len(rows), len(mus), sharex=True, sharey="row", squeeze=False)
-    for column, mu in enumerate(mus):
-        scales = dict.fromkeys(p.u_max for p in tuning.outcomes)
-        for number, u_max in enumerate(scales):
-            for row, name in enumerate(rows):
-                _draw_family(panels[row, column], tuning, (mu, u_max), name, OTHERS[number % len(OTHERS)])
-        if mu is not None:
-            panels[0, column].set_title(f"μ = {mu:g}", fontsize="medium")
-        panels[-1, column].set_xlabel("$a_{min}$ (1: the LC)")
-    for axis in panels.flat:
-        if any((np.asarray(line.get_ydata(), float) > 0.0).any() for line in axis.lines):
-            axis.set_yscale("log")
-        axis.grid(alpha=0.3, which="both")
-    panels[0, 0].invert_xaxis()
-    for row, quantity in enumerate(rows.values()):
-        panels[row, 0].set_ylabel(literal(quantity.heading))
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    if labels:
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
-    return figure
-
-
-def _draw_family(axis: Any, tuning: Tuning, family: Family, name: str, colour: str) -> None:
-    """Draw `measure` or `chattering` of one mu and scale of P over a_min, and mark where the rule stopped."""
-    curve = sorted(
-        (o for p, o in tuning.outcomes.items() if ((p.mu, p.u_max), p.b_max) == (family, 1.0)),
-        key=lambda o: -o.point.a_min,
-    )
-    stop = tuning.outcomes[next(p for p in tuning.stops if (p.mu, p.u_max) == family)]
-    values = [getattr(o, name) if math.isfinite(getattr(o, name)) else math.nan for o in curve]
-    label = None if family[1] is None else f"|k x| ≤ {family[1]:g} V on the unit ball"
-    axis.plot([o.point.a_min for o in curve], values, "o-", ms=3, lw=1, color=colour, label=label)
-    if stop.point.b_max == 1.0:
-        axis.plot(stop.point.a_min, getattr(stop, name), "s", mfc="none", ms=9, color=colour)
-    else:
-        axis.plot(stop.point.a_min, getattr(stop, name), "^", ms=8, color=colour)

@@ -78,12 +78,12 @@ def _inside(data: Any, part: int | str) -> Any:
         return None
 
 
-def _choice_problem(place: list[Any], about: Mapping[str, str]) -> str:
+def _choice_problem(place: list[Any], context: Mapping[str, str]) -> str:
     """Return what is wrong with the entry that says which kind of table this is; pydantic quotes its name and the kinds."""
-    entry = _dotted([*place, about["discriminator"].strip("'")])
-    if "tag" not in about:
+    entry = _dotted([*place, context["discriminator"].strip("'")])
+    if "tag" not in context:
         return f"{entry} is required"
-    tag, kinds = about["tag"], [kind.strip("'") for kind in about["expected_tags"].split(", ")]
+    tag, kinds = context["tag"], [kind.strip("'") for kind in context["expected_tags"].split(", ")]
     return f"{entry} must be one of {', '.join(kinds)}, found {shown(tag)}{did_you_mean(tag, kinds)}"
 
 

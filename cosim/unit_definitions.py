@@ -63,13 +63,13 @@ class Scale:
 
 def scale_of(description: ModelDescription, unit: str) -> Scale | None:
     """Return what the FMU says of `unit`; None where it does not define it by base units, or not sensibly."""
-    found = next((u.baseUnit for u in description.unitDefinitions if u.name == unit), None)
-    if found is None:
+    definition = next((u.baseUnit for u in description.unitDefinitions if u.name == unit), None)
+    if definition is None:
         return None
-    factor, offset = float(found.factor), float(found.offset)
+    factor, offset = float(definition.factor), float(definition.offset)
     if not (math.isfinite(factor) and math.isfinite(offset) and factor != 0.0):
         return None
-    return Scale(tuple(int(getattr(found, base)) for base in BASES), factor, offset)
+    return Scale(tuple(int(getattr(definition, base)) for base in BASES), factor, offset)
 
 
 def conversion(source: Scale, target: Scale) -> tuple[float, float] | None:
@@ -81,10 +81,10 @@ def conversion(source: Scale, target: Scale) -> tuple[float, float] | None:
 
 def known_scale(description: ModelDescription, unit: str) -> Scale | None:
     """Return what the FMU says of `unit`, else what its name says; None where neither does."""
-    found = scale_of(description, unit)
-    named = base_unit(unit) if found is None else None
+    scale = scale_of(description, unit)
+    named = base_unit(unit) if scale is None else None
     if named is None:
-        return found
+        return scale
     return Scale(tuple(named.powers.get(base, 0) for base in BASES), named.factor, named.offset)
 
 

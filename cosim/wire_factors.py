@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from .structure import Wire
 from .unit_slips import SCALE_TOLERANCE
+from .wiring import CONTROLLER
 
 AGREES, UNKNOWN, DOUBTFUL, CONTRADICTS = 1, 3, 5, 20
 """What a change costs: the units at a wire's ends ask for it, or it undoes the wire's factor or its crossing; nothing is
@@ -24,25 +26,48 @@ ALIKE = 0.01
 
 
 @dataclass(frozen=True)
-class Wired:
+class ComparedWire:
     """A wire between plant and controller.
 
-    `source`, `target`: its ends, component.variable. `measures`: whether it leads to the controller. `asked`: the factor
-    that the units at both ends ask for, None where these do not say; `declared`: whether both ends declare theirs, else the
-    other's is taken to be the SI unit.
+    `number`: of the controller's variable among its own outputs or inputs. `asked`: the factor that the units at both ends
+    ask for, None where these do not say; `declared`: whether both ends declare theirs, else the other's is taken to be the
+    SI unit.
     """
 
-    source: str
-    target: str
-    factor: float
-    measures: bool
+    wire: Wire
+    number: int = 0
     asked: float | None = None
     declared: bool = False
 
     @property
+    def measures(self) -> bool:
+        """Whether it leads to the controller."""
+        return self.wire.target.startswith(f"{CONTROLLER}.")
+
+    @property
+    def name(self) -> str:
+        """The plant's variable."""
+        return (self.wire.source if self.measures else self.wire.target).partition(".")[2]
+
+    @property
+    def factor(self) -> float:
+        """By which the value is multiplied."""
+        return self.wire.factor
+
+    @property
+    def offset(self) -> float:
+        """What is added then."""
+        return self.wire.offset
+
+    @property
+    def unconverted(self) -> ComparedWire:
+        """The wire as if it changed no value."""
+        return replace(self, wire=Wire(self.wire.source, self.wire.target))
+
+    @property
     def crossed(self) -> bool:
         """Whether its ends have different names."""
-        return self.source.partition(".")[2] != self.target.partition(".")[2]
+        return self.wire.source.partition(".")[2] != self.wire.target.partition(".")[2]
 
     def corrected(self, size: float) -> float:
         """Return the factor in place of which the controller's numbers are `size` times as large as in its model."""
@@ -73,7 +98,7 @@ class Wired:
         """Return which factor would fit, in words."""
         new = self.corrected(size)
         own = "" if self.factor == 1.0 else f" * {self.factor:.6g}"
-        return f"{self.source} -> {self.target}{own} would fit " + (
+        return f"{self.wire.source} -> {self.wire.target}{own} would fit " + (
             "without a factor" if _alike(new, 1.0) else f"with * {new:.6g}"
         )
 
@@ -107,7 +132,7 @@ class Explanation:
         """Whether it changes neither an order nor a sign."""
         return not self.moved and all(size > 0.0 for _, size in self.sizes)
 
-    def cost(self, wires: Mapping[str, Sequence[Wired]]) -> int:
+    def cost(self, wires: Mapping[str, Sequence[ComparedWire]]) -> int:
         """Return how unlikely it is; `wires` by the controller's quantities."""
         joined = [wire for name in self.moved for wire in wires.get(name, ())]
         uncrosses = bool(joined) and all(wire.crossed for wire in joined)
@@ -116,7 +141,7 @@ class Explanation:
             max((wire.cost(size) for wire in wires.get(name, ())), default=UNKNOWN) for name, size in self.sizes
         )
 
-    def text(self, wires: Mapping[str, Sequence[Wired]], joint: str) -> str:
+    def text(self, wires: Mapping[str, Sequence[ComparedWire]], joint: str) -> str:
         """Return it in words, its parts joined by `joint`, with the wires that it changes."""
         advice = [wire.advice(size) for name, size in self.sizes for wire in wires.get(name, ())]
         if len(advice) > MOST:
@@ -124,12 +149,12 @@ class Explanation:
         return joint.join(self.said) + (f" ({'; '.join(advice)})" if advice else "")
 
 
-def likeliest(found: Iterable[Explanation], wires: Mapping[str, Sequence[Wired]]) -> str | None:
+def likeliest(explanations: Iterable[Explanation], wires: Mapping[str, Sequence[ComparedWire]]) -> str | None:
     """Return the likeliest explanation in words, or all that are about as likely; None where there is none.
 
     `wires` by the controller's quantities.
     """
-    ranked = sorted(found, key=lambda e: (e.cost(wires), len(e.said), len(e.changed), e.said))
+    ranked = sorted(explanations, key=lambda e: (e.cost(wires), len(e.said), len(e.changed), e.said))
     if not ranked:
         return None
     least, kept = ranked[0].cost(wires), list[Explanation]()

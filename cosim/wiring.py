@@ -50,8 +50,8 @@ class WireSection(BaseModel):
         match = _SHORT.fullmatch(value)
         if match is None:
             raise ValueError(f"must be 'component.output -> component.input', found {value[:80]!r}")
-        found = {"source": match["source"], "target": match["target"]}
-        return found if match["factor"] is None else {**found, "factor": _factor(match["factor"])}
+        ends = {"source": match["source"], "target": match["target"]}
+        return ends if match["factor"] is None else {**ends, "factor": _factor(match["factor"])}
 
     def wire(self) -> Wire:
         """Return it as the master takes it."""

@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cosim.comparison import Comparison
 from cosim.draws import change_text, estimate_text
-from cosim.experiments import Comparison, Experiment, run_experiments
+from cosim.experiments import Experiment, run_experiments
 from cosim.scenario import Scenario, load_scenario
 from cosim.system_export import export_system, exported_files
 from ihc_fmu.design import Design

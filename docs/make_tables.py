@@ -25,7 +25,7 @@ from cosim.cli import app
 from cosim.draws import MeanEstimate, change_text, estimate_text
 from cosim.hil.faults import KINDS
 from cosim.inputs import KINDS as KINDS_OF_SIGNALS
-from cosim.metrics import QUANTITIES
+from cosim.metric_meanings import QUANTITIES
 from cosim.scenario import ComponentSection, Scenario
 from cosim.wiring import WireSection
 from fmu_export.variables import Interface, Variable

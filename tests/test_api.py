@@ -74,11 +74,17 @@ def test_from_a_linear_controller_to_a_picture(tmp_path, monkeypatch):
 
 
 def test_what_is_to_be_known_of_a_run_is_a_warning(tmp_path):
+    def warned(call, match, **changes):
+        with pytest.warns(UserWarning, match=match) as caught:
+            call(tmp_path / "arm.ssp", changes={"run.duration": 0.1} | changes)
+        assert {warning.filename for warning in caught} == {__file__}
+
     system = ihc_fmu.System(A=A, B=B, K=K, name="arm", sample_time=1e-3)
     cosim.export(ihc_fmu.synthesize(system), tmp_path)
-    with pytest.warns(UserWarning, match="nothing moved: all was at rest where it began") as caught:
-        cosim.run(tmp_path / "arm.ssp", {"run.duration": 0.1})
-    assert caught[0].filename == __file__
+    far = {"plant.start.x1_0": 1e154, "controller.start.law": "LC"}
+    for call, law in ((cosim.run, ""), (cosim.compare, "LC: ")):
+        warned(call, "^nothing moved: all was at rest where it began")
+        warned(call, f"^{law}the numbers overflow: controller.u1 is not finite, or beyond ", **far)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         cosim.run(tmp_path / "arm.ssp", {"run.duration": 0.1, "plant.start.x1_0": 0.1})

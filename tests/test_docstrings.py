@@ -38,9 +38,17 @@ PUBLIC = {
     if not name.startswith("__")
 }
 DOCUMENTED = [*PUBLIC, *(f"{name}.{method}" for name, thing in PUBLIC.items() for method, _ in methods(thing))]
-SHOWN = dict(PUBLIC)
-SHOWN = {name: thing for name, thing in SHOWN.items() if name.startswith("ihc_fmu.")}  # cosim has no examples yet
-HOMES = sorted({"cosim", "ihc_fmu", *(thing.__module__ for thing in SHOWN.values())})
+HOMES = sorted({"cosim", "ihc_fmu", *(thing.__module__ for thing in PUBLIC.values())})
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The folder that examples run in, with an arm's FMUs."""
+    folder = tmp_path_factory.mktemp("examples")
+    A, B, K = [[0, 1], [4, 0]], [[0], [1]], [[-8, -4]]
+    arm = ihc_fmu.System(A=A, B=B, K=K, states=("angle [rad]", "rate [rad/s]"), name="arm")
+    cosim.export(ihc_fmu.synthesize(arm), folder / "fmus")
+    return folder
 
 
 def examples(thing):
@@ -52,16 +60,16 @@ def test_it_is_documented(name):
     assert [text for code, text in validate(name)["errors"] if code in WANTED] == []
 
 
-@pytest.mark.parametrize("name", SHOWN)
+@pytest.mark.parametrize("name", PUBLIC)
 def test_it_has_an_example_and_so_have_its_methods(name):
-    shown = examples(SHOWN[name])
+    shown = examples(PUBLIC[name])
     assert ">>>" in shown
-    assert [method for method, member in methods(SHOWN[name]) if f".{method}(" not in shown + examples(member)] == []
+    assert [method for method, member in methods(PUBLIC[name]) if f".{method}(" not in shown + examples(member)] == []
 
 
 @pytest.mark.parametrize("name", HOMES)
-def test_examples_print_what_they_say(name, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_examples_print_what_they_say(name, exported, monkeypatch):
+    monkeypatch.chdir(exported)
     results = doctest.testmod(importlib.import_module(name))
     assert results.failed == 0
     assert results.attempted > 0

@@ -26,7 +26,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..experiments import Comparison
+    from ..comparison import Comparison
 
 REPORT = "report.html"
 """The page among a comparison's files."""
@@ -72,7 +72,9 @@ def compare(
     Given results of `run` or `hil` instead, show them side by side.
     """
     from ..experiments import LAW, LAWS, Experiment, check_names, laws_of
-    from ..scenario import build_system, controller_design, load_located, remarks
+    from ..remarks import remarks_before
+    from ..scenario import load_located
+    from ..scenario_system import build_system, controller_design
 
     if laws is not None and vary is not None:
         raise UserError("compare takes --laws or --vary, not both")
@@ -82,29 +84,33 @@ def compare(
         return
     if len(scenario) > 1:
         raise UserError(f"compare takes one scenario, or results (*.csv), found {', '.join(scenario)}")
-    chosen, folder, fmus = load_located(scenario[0], fmus)
-    chosen = chosen.changed(dict(assignments(change)))
+    loaded_scenario, folder, fmus = load_located(scenario[0], fmus)
+    loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
     if vary is not None:
         entry, values = varied(vary)
         names = list(values)
     else:
-        entry, values, known = LAW, None, laws_of(chosen, fmus, folder)
+        entry, values, known = LAW, None, laws_of(loaded_scenario, fmus, folder)
         names = [name for name in known if name in LAWS] if laws is None else [law.strip() for law in laws.split(",")]
         if not names or not set(names) <= set(known) or len(set(names)) < len(names):
             raise UserError(f"--laws must be different ones of {', '.join(known)}, found {laws or ', '.join(names)!r}")
     check_names(names)
-    compared = [chosen] if values is None else [chosen.changed({entry: value}) for value in values.values()]
+    compared = (
+        [loaded_scenario] if values is None else [loaded_scenario.changed({entry: value}) for value in values.values()]
+    )
     systems = [build_system(one, fmus, folder) for one in compared]
-    notes = dict.fromkeys(note for system, one in zip(systems, compared, strict=True) for note in remarks(system, one))
+    notes = dict.fromkeys(
+        note for system, one in zip(systems, compared, strict=True) for note in remarks_before(system, one)
+    )
     say_notes(notes)
-    check_folder(output / chosen.name, names)
-    page = page_wanted(report, report_file, output / chosen.name / REPORT)
+    check_folder(output / loaded_scenario.name, names)
+    page = page_wanted(report, report_file, output / loaded_scenario.name / REPORT)
     if page is not None:
         designs = [controller_design(system, one, folder) for system, one in zip(systems, compared, strict=True)]
         uncovered = (note for _, said in designs for note in said)
         one = entry not in ("controller.design", "controller.fmu")
         page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=designs[0][0] if one else None)
-    run_and_write([Experiment(chosen, folder, draws, entry, values)], fmus, output, names, workers, page)
+    run_and_write([Experiment(loaded_scenario, folder, draws, entry, values)], fmus, output, names, workers, page)
 
 
 def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
@@ -154,7 +160,8 @@ def run_and_write(
     `page` is written besides where there is one experiment.
     """
     from ..experiments import run_experiments
-    from ..scenario import build_system, rest_remarks
+    from ..remarks import rest_remarks
+    from ..scenario_system import build_system
 
     written: list[str] = []
     try:

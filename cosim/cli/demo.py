@@ -32,20 +32,20 @@ def demo(
     for name in DEMO:
         check_folder(output / name, LAWS)
     console.print("1. design: the paper's A, b and k_lin, inverse design")
-    found = default_design()
-    found.save(output / "design.json")
-    margins = found.certificate
+    design = default_design()
+    design.save(output / "design.json")
+    margins = design.certificate
     console.print(
         f"   certified: decrease margin {margins.decrease:.2g} 1/s, monotonicity {margins.monotone:.3g}, P > 0"
     )
     console.print("2. export")
-    for path in export_units(found, output=fmus):
+    for path in export_units(design, output=fmus):
         console.print(f"   {escaped(path)}")
     console.print(
         "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
     )
     experiments = []
     for name, draws in DEMO.items():
-        chosen, folder = load_scenario(name)
-        experiments.append(Experiment(chosen, folder, draws))
+        scenario, folder = load_scenario(name)
+        experiments.append(Experiment(scenario, folder, draws))
     run_and_write(experiments, fmus, output, list(LAWS))

@@ -40,12 +40,13 @@ def device(
     from ..hil.udp_messages import address_of, beyond_loopback
     from ..hil.udp_server import Server
     from ..interrupts import second_ends
-    from ..scenario import build_system, load_scenario
+    from ..scenario import load_scenario
+    from ..scenario_system import build_system
 
-    chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed(dict(assignments(change)))
-    check_device(chosen)
-    _, plant = build_system(chosen, fmus, folder).components
+    loaded_scenario, folder = load_scenario(scenario)
+    loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
+    check_device(loaded_scenario)
+    _, plant = build_system(loaded_scenario, fmus, folder).components
     board = Board(plant, parse(faults))
     if record is not None:
         check_replaceable(record)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from ihc_fmu.design import Design
 
-    from ..experiments import Comparison
+    from ..comparison import Comparison
     from ..paper.verdicts import Claim
     from ..results import Result
     from ..tuning import Outcome, Tuning
@@ -233,12 +233,12 @@ def progress() -> Progress:
     )
 
 
-def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
+def print_design(design: Design, reasons: Sequence[str] = ()) -> None:
     """Print a design's numbers, why they were chosen, and its certificate."""
     from rich.table import Table
 
-    table = Table(title=escaped(found.title), show_header=False, title_justify="left")
-    for label, text in found.summary():
+    table = Table(title=escaped(design.title), show_header=False, title_justify="left")
+    for label, text in design.summary():
         table.add_row(label, escaped(text))
     console.print(table)
     for reason in reasons:
@@ -248,7 +248,7 @@ def print_design(found: Design, reasons: Sequence[str] = ()) -> None:
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
     from ..draws import change_text
-    from ..metrics import is_pendulum
+    from ..metric_meanings import is_pendulum
 
     q, linear, variation = tuning.quantities[tuning.measure], tuning.linear, tuning.chattering
     drawn = f", {linear.draws} draws; ± 95 % interval" if linear.draws > 1 else ""

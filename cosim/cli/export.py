@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,8 +11,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from ..pendulum_export import EXPORTED, Kind, Smc, export_units
-from ..system_export import export_system, exported_files
+from ..pendulum_export import Kind, Smc
 from .display import console, escaped, interruptible, say_notes
 from .options import assignments, loaded_design
 
@@ -77,13 +75,9 @@ def export(
     FMU carries its documentation. Native FMUs run without Python, the plant also for model exchange.
     """
     with interruptible(output):
-        from ihc_fmu.controller import resampled
-        from ihc_fmu.estimation import remarks as remarks_of
-        from ihc_fmu.observer import remark as of_observer
         from ihc_fmu.pendulum.start_values import default_design
-        from ihc_fmu.system import PENDULUM
 
-        from .. import certified
+        from ..design_export import export_design, export_remarks, exported_files
 
         changes: dict[str, dict[str, Any]] = {"plant": {}, "controller": {}}
         for name, value in assignments(change):
@@ -91,50 +85,17 @@ def export(
             if not dot or unit not in changes:
                 raise UserError(f"--set must name plant.VARIABLE or controller.VARIABLE, found {name!r}")
             changes[unit][variable] = value
-        found = default_design() if design is None else loaded_design(design)
+        exported = default_design() if design is None else loaded_design(design)
         if platforms is not None and kind is Kind.python:
             raise UserError("--platforms is for native FMUs; Python FMUs hold PythonFMU's binaries for its platforms")
         names = None if platforms is None else [name.strip() for name in platforms.split(",")]
         shown = None if outputs is None else [name.strip() for name in outputs.split(",")]
-        of_pendulum = found.system.name == PENDULUM
-        if not of_pendulum:
-            given = {
-                "--parameters": parameters,
-                "--nominal": nominal,
-                "--smc": smc,
-                "--other-model": other_model or None,
-            }
-            _refuse_pendulums(given, found.system.name)
-        check_replaceable(*(output / name for name in (EXPORTED if of_pendulum else exported_files(found.system))))
+        pendulum = {"parameters": parameters, "nominal": nominal, "smc": smc, "other_model": other_model or None}
+        given = {option: value for option, value in pendulum.items() if value is not None}
+        check_replaceable(*(output / name for name in exported_files(exported)))
         with console.status("building") if names else nullcontext() as status:
             building = None if status is None else lambda what: status.update(f"building {what}")
-            if of_pendulum:
-                paths = export_units(
-                    found,
-                    parameters or "ident",
-                    nominal or "ident",
-                    output,
-                    changes,
-                    smc or Smc.fitted,
-                    kind,
-                    names,
-                    building,
-                    shown,
-                    other_model=other_model,
-                )
-            else:
-                found = resampled(found, changes["controller"].get("sample_time"))
-                paths = export_system(found, output, changes, kind, names, building, shown)
-                say_notes(remarks_of(found))
-                if found.system.observer is not None:
-                    say_notes([of_observer(found)])
-        say_notes(certified.remarks(certified.start_values(found), changes["controller"]))
+            paths = export_design(exported, output, changes, kind, names, building, shown, **given)
+        say_notes(export_remarks(exported, changes["controller"]))
     for path in paths:
         console.print(f"wrote {escaped(path)}")
-
-
-def _refuse_pendulums(given: Mapping[str, object], system: str) -> None:
-    """Raise UserError for an option that only the pendulum's units have."""
-    for option, value in given.items():
-        if value is not None:
-            raise UserError(f"{option} is for the rotary pendulum's units, found with a design of the system {system}")

@@ -108,21 +108,27 @@ def hil(
     Ctrl-C stops at 0 V after the current sample. The log has a simulation's columns and units, and the timing beside.
     """
     from ..hil.settings import Settings
-    from ..scenario import build_system, controller_design, load_scenario, remarks
+    from ..remarks import remarks_before
+    from ..scenario import load_scenario
+    from ..scenario_system import build_system, controller_design
 
     if on_fall not in ("swing-up", "stop"):
         raise UserError(f"--on-fall must be swing-up or stop, found {on_fall!r}")
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise UserError(f"--rate must lie in [{LOWEST_RATE:g}, {HIGHEST_RATE:g}] Hz, found {rate:g} Hz")
-    chosen, folder = load_scenario(scenario)
-    chosen = chosen.changed({**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration})
-    if chosen.plant.measurement == "ideal":
-        raise UserError(f"a device measures with encoders, the scenario {chosen.name} says {chosen.plant.measurement}")
-    check_device(chosen)
-    system = build_system(chosen, fmus, folder, controller)
+    loaded_scenario, folder = load_scenario(scenario)
+    loaded_scenario = loaded_scenario.changed(
+        {**dict(assignments(change)), "run.step": 1.0 / rate, "run.duration": duration}
+    )
+    if loaded_scenario.plant.measurement == "ideal":
+        raise UserError(
+            f"a device measures with encoders, the scenario {loaded_scenario.name} says {loaded_scenario.plant.measurement}"
+        )
+    check_device(loaded_scenario)
+    system = build_system(loaded_scenario, fmus, folder, controller)
     component, plant = system.components
     signals = system.signals
-    notes = remarks(system, chosen)
+    notes = remarks_before(system, loaded_scenario)
     say_notes(notes)
     settings = Settings(
         rate=rate,
@@ -137,10 +143,10 @@ def hil(
     if check:
         _check(chosen_device, component, settings, signals)
     else:
-        about = {"scenario": chosen.model_dump(mode="json"), **_judged(component, signals)}
+        about = {"scenario": loaded_scenario.model_dump(mode="json"), **_judged(component, signals)}
         page = page_wanted(report, report_file, None)
         if page is not None:
-            design, uncovered = controller_design(system, chosen, folder)
+            design, uncovered = controller_design(system, loaded_scenario, folder)
             page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=design)
         _run(chosen_device, component, settings, signals, about, output, status, page)
 
@@ -192,7 +198,7 @@ def _run(
     component: Component,
     settings: Settings,
     signals: Sequence[Signal],
-    about: Mapping[str, Any],
+    metadata: Mapping[str, Any],
     output: Path,
     status: bool | None,
     page: Page | None,
@@ -212,7 +218,7 @@ def _run(
         component,
         settings,
         path,
-        about,
+        metadata,
         say=lambda text: problems.print(f"[dim]{escaped(text)}[/]"),
         signals=signals,
     )
@@ -244,7 +250,7 @@ def _run(
 
 
 def _print_report(report: HardwareRun, path: Path) -> None:
-    from ..metrics import can_evaluate
+    from ..judged_signals import can_evaluate
     from ..plots import save_overview
 
     result, about = report.result, report.result.metadata["hil"]

@@ -65,25 +65,26 @@ def overlay(
         if evaluation_in(result).kind == "pendulum":
             _overlay_log(result, run, parameters, begin, controller, fmus, folder)
             return
-        chosen, beside = scenario_in(result, run), run.parent
-        others = other_files(result, chosen, fmus, beside)
+        loaded_scenario, beside = scenario_in(result, run), run.parent
+        others = other_files(result, loaded_scenario, fmus, beside)
         say_notes(f"{name} is not the file that the run was made with (another GUID)" for name in others)
     else:
-        chosen, beside, fmus = load_located(scenario, fmus)
-        chosen = chosen.changed(dict(assignments(change)))
+        loaded_scenario, beside, fmus = load_located(scenario, fmus)
+        loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
     for option, given in (("--parameters", parameters), ("--controller", controller)):
         if given is not None:
             raise UserError(
                 f"{option} is for logs of the pendulum; here --scenario, --set and --fmus say what is simulated"
             )
-    _overlay_scenario(run, chosen, fmus, beside, begin, folder)
+    _overlay_scenario(run, loaded_scenario, fmus, beside, begin, folder)
 
 
 def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, begin: float, folder: Path) -> None:
-    from ..metrics import can_evaluate
+    from ..judged_signals import can_evaluate
     from ..overlay import compared, lay
     from ..plots import panels_of, save_comparison, save_figure
-    from ..scenario import build_system, rest_remarks
+    from ..remarks import remarks_after
+    from ..scenario_system import build_system
 
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
@@ -92,7 +93,7 @@ def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, b
         )
     if laid.left_out:
         say_notes([f"columns of {run} that no signal of the scenario has the name of: {', '.join(laid.left_out)}"])
-    say_notes(rest_remarks(laid.simulated, build_system(scenario, fmus, beside)))
+    say_notes(remarks_after(laid.simulated, build_system(scenario, fmus, beside)))
     both = {"measured": laid.measured, "simulation": laid.seen}
     title = f"{run.name} and the simulation of {scenario.name}"
     judged = can_evaluate(laid.measured)
@@ -130,14 +131,14 @@ def _overlay_log(
         say_notes([OTHER_FMU])
     with progress() as bar:
         task = bar.add_task("simulation", total=None)
-        found = resimulate(
+        resimulated = resimulate(
             result,
             (plant, own),
             parameters,
             begin,
             lambda done, total: bar.update(task, completed=done, total=total),
         )
-    measured, simulated = found.measured, found.simulated
+    measured, simulated = resimulated.measured, resimulated.simulated
     both = {"device": measured, "simulation": as_seen(simulated, measured)}
     with staging(folder) as place:
         simulated.save(place / "simulation.csv")
@@ -146,7 +147,7 @@ def _overlay_log(
     for name, value in differences(measured, simulated, (*MEASURED, "controller.voltage"), MEASURED[1:]).items():
         _say_difference(name, value, measured)
     console.print(
-        f"over stretches of 0.25 s the model is {1e3 * found.beginning.rms:.3g} mrad RMS off; counting alone gives "
+        f"over stretches of 0.25 s the model is {1e3 * resimulated.beginning.rms:.3g} mrad RMS off; counting alone gives "
         f"{1e3 * RESOLUTION / math.sqrt(12.0):.3g} mrad",
         highlight=False,
         soft_wrap=True,

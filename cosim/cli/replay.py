@@ -17,15 +17,15 @@ def replay(run: RunArgument, controller: ControllerOption = None, fmus: FmusOpti
     from ..results import Result
 
     result = Result.load(run)
-    found = run_replay(result, controller_of(result, controller, fmus))
-    if not found.same_fmu:
+    replayed = run_replay(result, controller_of(result, controller, fmus))
+    if not replayed.same_fmu:
         say_notes([OTHER_FMU])
-    if found.first is None:
-        console.print(f"exact: {found.samples} samples replayed, every output as in the log to the last bit")
+    if replayed.first is None:
+        console.print(f"exact: {replayed.samples} samples replayed, every output as in the log to the last bit")
         return
-    first = found.first
+    first = replayed.first
     console.print(
-        f"not exact: {found.differing} of {found.samples} rows differ, the first at {first.time:g} s: "
+        f"not exact: {replayed.differing} of {replayed.samples} rows differ, the first at {first.time:g} s: "
         f"{escaped(first.name)} is {first.logged!r} in the log and {first.replayed!r} in the replay",
         soft_wrap=True,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,8 @@ from .options import (
 )
 
 if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
     from ..results import Result
 
 
@@ -49,14 +52,17 @@ def run(
 
     A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
     """
-    from ..metrics import can_draw, can_evaluate, overflow
+    from ..judged_signals import can_draw, can_evaluate
+    from ..remarks import remarks_after, remarks_before, rest_remarks
     from ..results import Interrupted, SimulationError
-    from ..scenario import build_system, controller_design, load_located, remarks, rest_remarks, run_scenario
+    from ..scenario import load_located
+    from ..scenario_run import run_scenario
+    from ..scenario_system import build_system, controller_design
 
-    chosen, folder, fmus = load_located(scenario, fmus)
+    loaded_scenario, folder, fmus = load_located(scenario, fmus)
     changes = dict(assignments(change)) | ({} if engine is None else {"run.engine": engine})
-    chosen = chosen.changed(changes)
-    path = output or Path("results") / f"{chosen.name}.csv"
+    loaded_scenario = loaded_scenario.changed(changes)
+    path = output or Path("results") / f"{loaded_scenario.name}.csv"
     if path.suffix != ".csv":
         raise UserError(f"--output must name a .csv file, found {path}")
     unfinished = path.with_suffix(".partial.csv")  # an earlier complete result stays
@@ -66,14 +72,14 @@ def run(
     if plot:
         check_replaceable(path.with_suffix(".png"))
     page = page_wanted(report, report_file, path.with_suffix(".html"))
-    system = build_system(chosen, fmus, folder)
-    notes = remarks(system, chosen)
+    system = build_system(loaded_scenario, fmus, folder)
+    notes = remarks_before(system, loaded_scenario)
     say_notes(notes)
     with progress() as bar:
-        task = bar.add_task(chosen.name, total=None)
+        task = bar.add_task(loaded_scenario.name, total=None)
         try:
             result = run_scenario(
-                chosen,
+                loaded_scenario,
                 fmus,
                 folder,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
@@ -94,24 +100,25 @@ def run(
         if not again:
             remove_earlier(path.with_suffix(suffix), what)
     warn_of_messages(result)
-    at_rest = rest_remarks(result, system)
-    say_notes(at_rest)
+    say_notes(remarks_after(result, system))
     console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
     if plot and can_evaluate(result) and can_draw(result):
         from ..plots import save_overview
 
-        picture = save_overview(result, path.with_suffix(".png"), chosen.description or chosen.name)
+        picture = save_overview(result, path.with_suffix(".png"), loaded_scenario.description or loaded_scenario.name)
         console.print(f"wrote {escaped(picture)}")
     if can_evaluate(result):
-        say_notes(filter(None, [overflow(result)]))
         print_metrics(result)
     if page is not None:
-        found, uncovered = controller_design(system, chosen, folder)
-        said = [*dict.fromkeys([*notes, *uncovered, *at_rest])]
-        _report(result, replace(page, notes=said, design=found), path)
+        of_controller = controller_design(system, loaded_scenario, folder)
+        _report(result, page, [*notes, *rest_remarks(result, system)], of_controller, path)
 
 
-def _report(result: Result, page: Page, table: Path) -> None:
+def _report(
+    result: Result, page: Page, notes: Sequence[str], of_controller: tuple[Design | None, list[str]], table: Path
+) -> None:
+    design, uncovered = of_controller
+    page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=design)
     written = result.report(page.path or table.with_suffix(".html"), notes=page.notes, design=page.design, table=table)
     console.print(f"wrote {escaped(written)}")
 

@@ -23,18 +23,19 @@ def ssp(
 
     Signals and disturbances have no place in it.
     """
-    from ..master import Coupling
-    from ..scenario import build_system, load_located
+    from ..coupling import Coupling
+    from ..scenario import load_located
+    from ..scenario_system import build_system
     from ..ssp import SUFFIX, write
 
-    chosen, folder, fmus = load_located(scenario, fmus)
-    chosen = chosen.changed(dict(assignments(change)))
-    path = output or Path(f"{chosen.name}{SUFFIX}")
+    loaded_scenario, folder, fmus = load_located(scenario, fmus)
+    loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
+    path = output or Path(f"{loaded_scenario.name}{SUFFIX}")
     if path.suffix != SUFFIX:
         raise UserError(f"--output must name a {SUFFIX} file, found {path}")
-    system = build_system(chosen, fmus, folder)
+    system = build_system(loaded_scenario, fmus, folder)
     start = Coupling(system).start
     system = replace(system, components=[replace(c, start=start[c.name]) for c in system.components])
     say_notes(f"an SSP has no signals: {s.target} keeps its start value there" for s in system.signals)
-    written = write(path, chosen.name, system, chosen.run.duration, chosen.run.step)
+    written = write(path, loaded_scenario.name, system, loaded_scenario.run.duration, loaded_scenario.run.step)
     console.print(f"wrote {escaped(written)}")

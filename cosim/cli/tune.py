@@ -60,27 +60,31 @@ def tune(
 
     from ..campaign import Journal
     from ..pendulum import is_controller
-    from ..scenario import build_system, controller_values, load_located, remarks, with_tolerances
-    from ..tuning import PURPOSE, WRITTEN_FILES, Grid, TuningProblem, save
+    from ..remarks import remarks_before
+    from ..scenario import load_located
+    from ..scenario_run import with_tolerances
+    from ..scenario_system import build_system, controller_values
+    from ..tuning import PURPOSE, Grid, TuningProblem
     from ..tuning import tune as run_tuning
+    from ..tuning_files import WRITTEN_FILES, save
 
-    chosen, folder, fmus = load_located(scenario, fmus)
-    chosen = chosen.changed(dict(assignments(change)))
+    loaded_scenario, folder, fmus = load_located(scenario, fmus)
+    loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
     given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
     grid = Grid(
         **{name: _numbers(f"--{name.replace('_', '-')}", text) for name, text in given.items() if text is not None}
     )
     limit = math.inf if most_chattering is None else most_chattering
-    found = None if design is None else loaded_design(design)
-    if found is None and is_controller(controller_values(chosen, fmus, folder)):
-        found = default_design()
-    if found is None and (u_max is not None or mu is not None):
+    own_design = None if design is None else loaded_design(design)
+    if own_design is None and is_controller(controller_values(loaded_scenario, fmus, folder)):
+        own_design = default_design()
+    if own_design is None and (u_max is not None or mu is not None):
         raise UserError("--u-max and --mu are for the pendulum's controller; another keeps those of its design")
-    problem = TuningProblem(chosen, folder, fmus, found, measure, limit, draws)
-    target = output or Path("results") / f"tune_{chosen.name}"
+    problem = TuningProblem(loaded_scenario, folder, fmus, own_design, measure, limit, draws)
+    target = output or Path("results") / f"tune_{loaded_scenario.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
-    say_notes(remarks(build_system(chosen, fmus, folder), chosen))
-    problem = replace(problem, scenario=with_tolerances(chosen, fmus, folder))
+    say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
+    problem = replace(problem, scenario=with_tolerances(loaded_scenario, fmus, folder))
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)

@@ -16,7 +16,7 @@ from ihc_fmu.pendulum.supervisor import Mode
 from ..errors import UserError
 from ..fmu import FmuError
 from ..interrupts import second_ends
-from ..metrics import STABILIZING
+from ..judged_signals import STABILIZING
 from ..results import Result, versions
 from ..signals import STOPPING
 from ..structure import Component, Signal

@@ -15,10 +15,10 @@ from plant_fmu.parameters import ParameterSet, QubeParameters
 from ..errors import UserError
 from ..fmu_files import start_values_of
 from ..master import simulate
-from ..parameter_files import chosen
+from ..parameter_files import named_set
+from ..pendulum import WIRES
 from ..provenance import provenance
 from ..results import Result
-from ..scenario import WIRES
 from ..structure import Component, Signal, SystemStructure
 from .identify import Beginning, beginning
 from .replay import driven_inputs, driven_values
@@ -49,7 +49,7 @@ def own_start(result: Result) -> dict[str, Any]:
     """Return the plant's start values that a run's scenario says, but for its own first state, offsets and noise."""
     plant = result.metadata.get("scenario", {}).get("plant", {})
     named = plant.get("parameters")
-    start = {} if named is None else dict(plant_start_values(chosen(named)))
+    start = {} if named is None else dict(plant_start_values(named_set(named)))
     return start | {name: value for name, value in plant.get("start", {}).items() if name not in CHANCE}
 
 
@@ -81,7 +81,7 @@ def resimulate(
         result.units,
         result.metadata,
     )
-    plant = own_start(result) if parameters is None else dict(plant_start_values(chosen(parameters)))
+    plant = own_start(result) if parameters is None else dict(plant_start_values(named_set(parameters)))
     first = beginning(measured, _set_of({**start_values_of(fmus[0]), **plant}, parameters or "of the run"))
     names = ("theta_0", "delta_0", "theta_dot_0", "delta_dot_0")
     plant |= dict(zip(names, first.state, strict=True))

@@ -10,7 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..campaign import counted
-from ..metrics import QUANTITIES, angle_norm
+from ..judged_signals import angle_norm
+from ..metric_meanings import QUANTITIES
 from ..plots import COLOURS, DELTA, OTHERS, THETA, Q, angle, save_figure
 from ..results import Result
 from . import printed

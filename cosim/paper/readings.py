@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..metrics import STABILIZING, angle_norm
+from ..judged_signals import STABILIZING, angle_norm
 from ..results import Result
 from . import printed
 

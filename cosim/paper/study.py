@@ -26,7 +26,8 @@ from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
 from ..campaign import Job, Journal, run_all, run_numbers
-from ..metrics import angle_norm, evaluate, kept_upright, settling_time, wrapped
+from ..judged_signals import angle_norm, kept_upright, wrapped
+from ..metrics import evaluate, settling_time
 from ..results import Result
 from ..scenario import BUILT_IN, Scenario, load_scenario
 from . import printed

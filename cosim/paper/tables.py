@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..metrics import QUANTITIES
+from ..metric_meanings import QUANTITIES
 from . import printed
 from .claims import VARIANTS_OF_LAW, Judge, Theory
 from .figures import sweep_median, sweep_runs, swing_up_pairs

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..evaluation import NO_UNIT, ErrorSignal, evaluation_in
-from ..metrics import error_norm, given, set_point, wrapped
+from ..judged_signals import error_norm, given, set_point, wrapped
 from ..plots import (
     COLOURS,
     LARGEST,

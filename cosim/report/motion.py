@@ -14,7 +14,7 @@ import numpy as np
 
 from ..animation import ZERO, BodySection
 from ..evaluation import evaluation_in
-from ..metrics import can_evaluate
+from ..judged_signals import can_evaluate
 from ..recording import Recording
 
 FRAME = 0.02

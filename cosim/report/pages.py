@@ -16,7 +16,8 @@ from fmu_export.files import FilePath
 from ..animation import BodySection, check_bodies, check_signals
 from ..errors import UserError
 from ..evaluation import evaluation_in
-from ..metrics import can_draw, can_evaluate, evaluate, evaluate_alike, kept_upright, overflow, unsteady
+from ..judged_signals import can_draw, can_evaluate, kept_upright, overflow
+from ..metrics import evaluate, evaluate_alike, unsteady
 from ..plots import law_of
 from ..provenance import provenance
 from ..recording import Recording
@@ -85,7 +86,7 @@ def found_in(result: Recording) -> Findings:
         *(Verdict(text, symbol) for meaning, (symbol, text) in numbers if meaning.role in shown),
     ]
     beyond = overflow(result)
-    return Findings(verdicts, [Table("Metrics", (), rows)], [beyond] if beyond else [], [f"* {why}"] if why else [])
+    return Findings(verdicts, [Table("Metrics", (), rows)], beyond, [f"* {why}"] if why else [])
 
 
 def _kept(result: Recording, name: str = "") -> Verdict:

@@ -14,7 +14,8 @@ import pytest
 
 from cosim.pendulum_export import export_units
 from cosim.results import Result
-from cosim.scenario import build_system, load_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_system import build_system
 from cosim.structure import Component
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.pendulum.start_values import default_design

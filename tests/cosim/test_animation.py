@@ -4,7 +4,8 @@ import pytest
 
 from cosim.animation import BodySection
 from cosim.errors import UserError
-from cosim.scenario import Scenario, build_system, load_scenario
+from cosim.scenario import Scenario, load_scenario
+from cosim.scenario_system import build_system
 
 CART = {"name": "cart", "shape": "cart", "size": 0.1, "x": "plant.theta"}
 ROD = {"name": "rod", "shape": "rod", "size": 0.3, "on": "cart", "angle": "plant.delta"}

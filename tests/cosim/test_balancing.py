@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from cosim.metrics import angle_norm
-from cosim.scenario import load_scenario, run_scenario
+from cosim.judged_signals import angle_norm
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 
 
 @pytest.fixture

@@ -23,7 +23,8 @@ from cosim.fmu_files import UnpackedFmu
 from cosim.metrics import evaluate
 from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result, SimulationError
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 
 SHORT = {"run.duration": 0.2, "plant.start.noise_std": 1e-4}
 LONG = {"run.duration": 20_000.0, "record.every": 1000}

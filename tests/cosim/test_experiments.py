@@ -9,13 +9,16 @@ import math
 import numpy as np
 import pytest
 
+from cosim.comparison import Comparison, Draw
 from cosim.draws import drawn
 from cosim.errors import UserError
-from cosim.experiments import Comparison, Draw, Experiment, run_experiments
+from cosim.experiments import Experiment, run_experiments
 from cosim.master import SimulationError
-from cosim.metrics import QUANTITIES, Metrics, evaluate
+from cosim.metric_meanings import QUANTITIES
+from cosim.metrics import Metrics, evaluate
 from cosim.results import Result
-from cosim.scenario import Scenario, load_scenario, run_scenario
+from cosim.scenario import Scenario, load_scenario
+from cosim.scenario_run import run_scenario
 
 FILTER = {"controller.start.velocity_source": "filter"}
 

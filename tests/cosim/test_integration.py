@@ -11,7 +11,8 @@ import pytest
 from cosim.errors import UserError
 from cosim.integration import MOST_STEPS, TOLERANCE
 from cosim.master import SimulationError, simulate
-from cosim.scenario import build_system, load_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_system import build_system
 from cosim.ssp import write
 from cosim.structure import Component, Signal, SystemStructure, Wire
 from fmu_export.native_build import build_library, host_platform

@@ -16,7 +16,8 @@ from cosim.errors import UserError
 from cosim.fmu import Instance
 from cosim.fmu_files import describe
 from cosim.master import PROGRESS_EVERY, Interrupted, SimulationError, simulate
-from cosim.scenario import build_system, load_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_system import build_system
 from cosim.structure import Component, Signal, SystemStructure, Wire
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.start_values import controller_start_values

@@ -10,19 +10,9 @@ from scipy import stats
 
 from cosim.errors import UserError
 from cosim.evaluation import TOLERANCE
-from cosim.metrics import (
-    PARTS,
-    QUANTITIES,
-    STABILIZING,
-    TREND_T,
-    ZERO,
-    angle_norm,
-    evaluate,
-    settling_time,
-    trend,
-    unsteady,
-    wrapped,
-)
+from cosim.judged_signals import STABILIZING, angle_norm, wrapped
+from cosim.metric_meanings import QUANTITIES, ZERO
+from cosim.metrics import PARTS, TREND_T, evaluate, settling_time, trend, unsteady
 from cosim.results import Result
 from ihc_fmu.pendulum.interface import MODES
 

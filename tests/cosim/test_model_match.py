@@ -13,8 +13,9 @@ import pytest
 from cosim import plant_as_wired
 from cosim.model_match import remarks
 from cosim.pendulum_export import Kind
-from cosim.scenario import Scenario, build_system
-from cosim.scenario import remarks as notes
+from cosim.remarks import remarks_before as notes
+from cosim.scenario import Scenario
+from cosim.scenario_system import build_system
 from cosim.system_export import export_system
 from fmu_export.archive import further_resources
 from fmu_export.errors import UserError
@@ -120,11 +121,11 @@ def test_what_cannot_be_answered_is_not_judged(exported, tmp_path, monkeypatch, 
         hides = f"{said}hidden.fmu is for co-simulation only and does not show its states"
         assert notes(system, Scenario()) == [hides]
     monkeypatch.setattr(plant_as_wired, "LONGEST", -1.0)
-    plant_as_wired.found.cache_clear()
+    plant_as_wired.plant_at.cache_clear()
     (said,) = remarks(built(exported, wires=wired(back=" * -2")))
     assert said == "the controller's model could not be compared with the plant's, because it takes too long"
     monkeypatch.undo()
-    plant_as_wired.found.cache_clear()
+    plant_as_wired.plant_at.cache_clear()
     for change, problem in ((None, None), (lambda text: text.replace('"mu": ', '"mu": 9'), "mu must lie in")):
         changed = repacked(exported / "spring_controller.fmu", {"resources/design.json": change})
         shutil.copy(changed, tmp_path / "spring_controller.fmu")

@@ -10,7 +10,9 @@ from cosim.campaign import Job, Journal, run_all
 from cosim.errors import UserError
 from cosim.fmu_files import describe
 from cosim.pendulum_export import export_units
-from cosim.scenario import Scenario, build_system, load_scenario, run_scenario
+from cosim.scenario import Scenario, load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from plant_fmu.interface import start_values
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet
 
@@ -101,19 +103,19 @@ def test_what_is_no_file_of_numbers_is_refused(tmp_path):
 
 
 def test_a_name_is_that_of_a_set_or_a_file_in_the_folder_or_the_current_one(file, tmp_path, monkeypatch):
-    assert parameter_files.chosen("hcs") is PARAMETER_SETS["hcs"]
+    assert parameter_files.named_set("hcs") is PARAMETER_SETS["hcs"]
     with pytest.raises(UserError, match=r"one of matrices, .*, swapped or a file \*\.toml, found 'idnt'"):
-        parameter_files.chosen("idnt")
+        parameter_files.named_set("idnt")
     path = file()
-    assert parameter_files.chosen("mine.toml", tmp_path) == parameter_files.load(path)
-    assert parameter_files.chosen(str(path), tmp_path / "elsewhere") == parameter_files.load(path)
+    assert parameter_files.named_set("mine.toml", tmp_path) == parameter_files.load(path)
+    assert parameter_files.named_set(str(path), tmp_path / "elsewhere") == parameter_files.load(path)
     with pytest.raises(UserError, match=r"parameter file mine\.toml does not exist"):
-        parameter_files.chosen("mine.toml", tmp_path / "elsewhere")
+        parameter_files.named_set("mine.toml", tmp_path / "elsewhere")
     monkeypatch.chdir(tmp_path)
-    assert parameter_files.chosen("mine.toml", tmp_path / "elsewhere") == parameter_files.load(path)
+    assert parameter_files.named_set("mine.toml", tmp_path / "elsewhere") == parameter_files.load(path)
     (tmp_path / "beside").mkdir()
     parameter_files.save(tmp_path / "beside" / "mine.toml", IDENT)
-    assert parameter_files.chosen("mine.toml", tmp_path / "beside").parameters == IDENT.parameters
+    assert parameter_files.named_set("mine.toml", tmp_path / "beside").parameters == IDENT.parameters
 
 
 # In the place of a set's name

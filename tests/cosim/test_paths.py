@@ -11,7 +11,9 @@ from cosim.linearize import linear_model
 from cosim.master import simulate
 from cosim.overlay import lay
 from cosim.results import Result
-from cosim.scenario import build_system, load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from cosim.structure import Component, SystemStructure
 from cosim.system_export import export_system, exported_files
 from cosim.system_file import write

@@ -9,7 +9,8 @@ from cosim import room
 from cosim.errors import UserError
 from cosim.hil.log import Layout, RowLog
 from cosim.results import Result
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 
 Disk = namedtuple("Disk", "total used free")
 

@@ -8,7 +8,8 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.fmu_files import start_values_of
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from cosim.ssp import DESCRIPTION, SSV
 from fmu_export.ssp import SSC, SSD
 from tests.cosim.command import ended, sentence

@@ -15,10 +15,13 @@ from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
 from cosim.experiments import Experiment, laws_of, run_experiments
 from cosim.fmu_files import start_values_of
-from cosim.metrics import evaluate, quantities_of
+from cosim.metric_meanings import quantities_of
+from cosim.metrics import evaluate
 from cosim.overlay import compared, lay
 from cosim.results import Result
-from cosim.scenario import build_system, evaluation, load_scenario, run_scenario, with_tolerances
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario, with_tolerances
+from cosim.scenario_system import build_system, evaluation
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.block_form import block_form
 from ihc_fmu.inverse import inverse_design

@@ -6,9 +6,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
+from cosim.comparison import Comparison, Draw
 from cosim.draws import MeanEstimate, change_text, estimate_text
-from cosim.experiments import Comparison, Draw
-from cosim.metrics import QUANTITIES, Metrics
+from cosim.metric_meanings import QUANTITIES
+from cosim.metrics import Metrics
 from cosim.results import Result
 from cosim.scenario import Scenario
 from ihc_fmu.synthesis import synthesize

@@ -20,23 +20,13 @@ from hypothesis import strategies as st
 from cosim.campaign import Journal
 from cosim.draws import change_text, drawn
 from cosim.errors import UserError
-from cosim.metrics import evaluate, kept_upright
+from cosim.judged_signals import kept_upright
+from cosim.metrics import evaluate
 from cosim.results import Result
-from cosim.scenario import load_scenario, run_scenario
-from cosim.tuning import (
-    MEASURES,
-    PURPOSE,
-    Grid,
-    Outcome,
-    Point,
-    Tuning,
-    TuningProblem,
-    _outcome,
-    _walk,
-    numbers,
-    save,
-    tune,
-)
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.tuning import MEASURES, PURPOSE, Grid, Outcome, Point, Tuning, TuningProblem, _outcome, _walk, numbers, tune
+from cosim.tuning_files import save
 from ihc_fmu.design import Design
 from tests.cosim.command import ended, finished, journal_rows, started
 

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from cosim.model_match import remarks
-from cosim.scenario import Scenario, build_system
-from cosim.scenario import remarks as notes
+from cosim.remarks import remarks_before as notes
+from cosim.scenario import Scenario
+from cosim.scenario_system import build_system
+from cosim.structure import Wire
 from cosim.system_export import export_system
-from cosim.wire_factors import Explanation, Wired, likeliest
+from cosim.wire_factors import ComparedWire, Explanation, likeliest
 from fmu_export.errors import UserError
 from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import System
@@ -245,7 +247,7 @@ def test_a_controller_of_another_model_is_run_without_starting_the_plant_before(
 
 
 def test_what_is_as_likely_is_said_beside_and_what_includes_it_is_not():
-    wires = {name: [Wired(f"plant.{name}", f"controller.{name}", 1.0, measures=True)] for name in "abc"}
+    wires = {name: [ComparedWire(Wire(f"plant.{name}", f"controller.{name}"))] for name in "abc"}
     one, other, more = (
         Explanation((f"{', '.join(names)} wrong",), sizes=tuple((name, 1e3) for name in names))
         for names in ("a", "bc", "ab")
@@ -256,5 +258,5 @@ def test_what_is_as_likely_is_said_beside_and_what_includes_it_is_not():
     assert ", or b, c wrong (" in said
     assert "a, b" not in said
     assert likeliest([], wires) is None
-    declared = {**wires, "a": [Wired("plant.a", "controller.a", 1.0, measures=True, asked=1.0, declared=True)]}
+    declared = {**wires, "a": [ComparedWire(Wire("plant.a", "controller.a"), asked=1.0, declared=True)]}
     assert (likeliest([one, other], declared) or "").startswith("b, c wrong (")

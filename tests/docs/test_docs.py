@@ -77,7 +77,7 @@ def test_the_readme_says_what_the_laws_do_without_sensors(tmp_path):
     scenario, folder = load_scenario("tilt_ideal")
     (result,) = run_experiments([Experiment(scenario, folder)], tmp_path)
     tables = load_make_tables()
-    rows = tables.comparison("tilt_ideal", result.about()).splitlines()[2:5]
+    rows = tables.comparison("tilt_ideal", result.summary()).splitlines()[2:5]
     page = (ROOT / "README.md").read_text(encoding="utf-8")
     for row in rows:
         name, *values = cells(row)

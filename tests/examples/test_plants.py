@@ -17,7 +17,9 @@ from cosim.fmu_files import start_values_of
 from cosim.linearize import linear_model
 from cosim.master import simulate
 from cosim.model_match import remarks
-from cosim.scenario import build_system, load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from cosim.system_export import export_system
 from fmu_export.errors import UserError
 from ihc_fmu.inverse import inverse_design

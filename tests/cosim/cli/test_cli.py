@@ -17,9 +17,11 @@ import pytest
 
 from cosim.__main__ import main as entry_point
 from cosim.fmu_files import describe
-from cosim.metrics import QUANTITIES, evaluate
+from cosim.metric_meanings import QUANTITIES
+from cosim.metrics import evaluate
 from cosim.results import Result
-from cosim.scenario import Scenario, run_scenario
+from cosim.scenario import Scenario
+from cosim.scenario_run import run_scenario
 from ihc_fmu.design import Design
 from ihc_fmu.sliding_mode import linear_pole_smc
 from tests.cosim.browser import Page, check_alone

@@ -15,8 +15,9 @@ from cosim.cli.display import (
     print_results,
     show_table,
 )
-from cosim.experiments import Comparison, Draw
-from cosim.metrics import QUANTITIES, Metrics
+from cosim.comparison import Comparison, Draw
+from cosim.metric_meanings import QUANTITIES
+from cosim.metrics import Metrics
 from cosim.paper.verdicts import Claim
 from cosim.scenario import Scenario
 from ihc_fmu.inverse import inverse_design

@@ -9,7 +9,8 @@ from cosim.hil.loop import Loop
 from cosim.hil.settings import Settings
 from cosim.hil.simulated import Board, SimulatedDevice
 from cosim.hil.udp_server import Server
-from cosim.scenario import build_system, load_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_system import build_system
 
 
 def scenario_of(duration=1.0, step=1e-3, **changes):

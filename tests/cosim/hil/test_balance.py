@@ -10,7 +10,8 @@ from cosim.hil.loop import Loop
 from cosim.hil.replay import replay
 from cosim.hil.settings import Settings
 from cosim.hil.udp import UdpDevice
-from cosim.metrics import evaluate, kept_upright
+from cosim.judged_signals import kept_upright
+from cosim.metrics import evaluate
 from cosim.plots import save_overview
 from cosim.results import Result
 from tests.cosim.hil import rig

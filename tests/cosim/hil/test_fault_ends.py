@@ -12,7 +12,7 @@ import pytest
 from cosim.hil.guards import Limits
 from cosim.hil.quanser import WATCHDOG
 from cosim.hil.simulated import HOLD
-from cosim.metrics import STABILIZING
+from cosim.judged_signals import STABILIZING
 from tests.cosim.hil.benches import (
     PERIOD,
     Simulated,

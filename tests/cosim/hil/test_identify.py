@@ -11,7 +11,8 @@ from cosim.errors import UserError
 from cosim.hil import identify as module
 from cosim.hil.identify import identify
 from cosim.results import Result
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from plant_fmu.parameters import PARAMETER_SETS
 
 IDENT = PARAMETER_SETS["ident"]

@@ -9,7 +9,7 @@ from cosim.errors import UserError
 from cosim.hil.overlay import alike, as_seen, resimulate
 from cosim.hil.replay import MEASURED
 from cosim.hil.scaling import RESOLUTION
-from cosim.metrics import angle_norm
+from cosim.judged_signals import angle_norm
 from cosim.overlay import differences
 from cosim.results import Result
 from tests.cosim.hil.rig import lockstep, one_sentence, run

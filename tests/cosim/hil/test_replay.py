@@ -9,7 +9,8 @@ from cosim.errors import UserError
 from cosim.hil.loop import Loop
 from cosim.hil.replay import replay
 from cosim.results import Result
-from cosim.scenario import build_system, run_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from tests.cosim.hil.rig import lockstep, one_sentence, run, scenario_of, settings_of
 
 

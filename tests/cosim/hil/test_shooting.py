@@ -4,7 +4,8 @@ import numpy as np
 
 from cosim.hil.segments import cut
 from cosim.hil.shooting import Shooting
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from plant_fmu.parameters import PARAMETER_SETS
 
 

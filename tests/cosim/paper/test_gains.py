@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from cosim.metrics import kept_upright
+from cosim.judged_signals import kept_upright
 from cosim.paper import printed
 from cosim.paper.gains import (
     K_LIN,
@@ -18,7 +18,8 @@ from cosim.paper.gains import (
     poles_text,
     recovered_gain,
 )
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 
 RECOVERED = np.array([2.0, -30.0, 2.0, -2.6])
 G_CHAIN = np.diag([4.0, 3.0, 2.0, 1.0])

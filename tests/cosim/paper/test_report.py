@@ -24,7 +24,8 @@ from cosim.paper.study import COMPARED, GAINS, REFERENCE, Key, Study, numbers
 from cosim.paper.verdicts import Claim
 from cosim.pendulum_export import export_units
 from cosim.report.motion import FRAME
-from cosim.scenario import load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
 from ihc_fmu.inverse import inverse_design
 from ihc_fmu.options import Options
 from ihc_fmu.pendulum.paper_system import paper_system

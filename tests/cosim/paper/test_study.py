@@ -35,7 +35,9 @@ from cosim.paper.study import (
     thinned,
 )
 from cosim.paper.variants import sweep_name
-from cosim.scenario import build_system, load_scenario, run_scenario
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.scenario_system import build_system
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import QubeParameters
