@@ -38,7 +38,9 @@ SetOption = Annotated[
     ),
 ]
 
-ReportOption = Annotated[bool, typer.Option("--report", help="Also write a page (HTML, one file) beside the table.")]
+ReportOption = Annotated[
+    bool, typer.Option("--report", help="Also write a page (HTML, in one file) beside the results.")
+]
 ReportFileOption = Annotated[
     Path | None,
     typer.Option("--report-file", help="The page's file (*.html), which is then written; none: see --report."),

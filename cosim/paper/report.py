@@ -284,5 +284,5 @@ def _page(
         versions=versions(),
         design=json.dumps({"P": np.round(about.P, 6).tolist(), "k": np.round(about.K_h[0], 6).tolist()}),
         fmus=shlex.quote(os.path.relpath(study.fmus, study.folder)),
-        animation=data(pendulum_in_motion({law: pictures[0, law] for law in ("LC", "IHC")})),
+        animation=data(pendulum_in_motion({law: pictures[0, law] for law in ("LC", "IHC")}, figures.PALETTE)),
     )

@@ -213,7 +213,7 @@
     colourLines();
     const uplot = new uPlot(options(chart, place.clientWidth), joined(chart), place);
     plots.push({ uplot, curves: chart.curves, buttons, outputs, place });
-    if (matchMedia("(pointer: coarse)").matches || navigator.maxTouchPoints > 0) fingers(uplot);
+    fingers(uplot);
     new ResizeObserver(() => {
       if (!root.classList.contains("printing")) resize(uplot, place.clientWidth);
     }).observe(place);

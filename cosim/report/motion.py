@@ -15,7 +15,6 @@ import numpy as np
 from ..animation import ZERO, BodySection
 from ..evaluation import evaluation_in
 from ..judged_signals import can_evaluate
-from ..plots import colours
 from ..recording import Recording
 
 FRAME = 0.02
@@ -40,9 +39,9 @@ def is_rotary(result: Recording) -> bool:
     return all(name in result.signals and np.all(np.isfinite(result[name])) for name in needed)
 
 
-def pendulum_in_motion(results: Mapping[str, Recording]) -> dict[str, Any]:
-    """Return the samples of the rotary pendulum in runs by their names."""
-    times, shades = times_of(results), colours(results)
+def pendulum_in_motion(results: Mapping[str, Recording], colours: Mapping[str, str]) -> dict[str, Any]:
+    """Return the samples of the rotary pendulum in runs by their names, which have `colours`."""
+    times = times_of(results)
     runs = []
     for name, result in results.items():
         theta, delta = (result[error.signal] for error in evaluation_in(result).errors)
@@ -50,7 +49,7 @@ def pendulum_in_motion(results: Mapping[str, Recording]) -> dict[str, Any]:
         runs.append(
             {
                 "name": name,
-                "colour": shades[name],
+                "colour": colours[name],
                 "theta": np.round(np.interp(times, result.time, theta), 5).tolist(),
                 "delta": np.round(np.interp(times, result.time, delta), 5).tolist(),
                 "voltage": np.round(np.interp(times, result.time, result["controller.voltage"]), 3).tolist(),
@@ -60,11 +59,13 @@ def pendulum_in_motion(results: Mapping[str, Recording]) -> dict[str, Any]:
     return {"step": float(times[1]), "voltage_limit": 10, "runs": runs}
 
 
-def bodies_in_motion(results: Mapping[str, Recording], bodies: Sequence[BodySection]) -> dict[str, Any]:
-    """Return the samples of bodies in a plane: of each its place and direction, the same number where it does not move."""
-    times, shades = times_of(results), colours(results)
+def bodies_in_motion(
+    results: Mapping[str, Recording], colours: Mapping[str, str], bodies: Sequence[BodySection]
+) -> dict[str, Any]:
+    """Return the samples of bodies in a plane: of each its place and direction, one number where it does not move."""
+    times = times_of(results)
     runs = [
-        {"name": name, "colour": shades[name], "bodies": [_rounded(p) for p in _places(result, bodies, times)]}
+        {"name": name, "colour": colours[name], "bodies": [_rounded(p) for p in _places(result, bodies, times)]}
         for name, result in results.items()
     ]
     shapes = [{"shape": body.shape, "size": body.size} for body in bodies]

@@ -171,7 +171,7 @@ def _write(
         plots.add_signals()
     downloads = {name: f"{path.stem}_{_plain(name)}_plotted.csv" for name in results}
     drawn, thin = plots.data(downloads)
-    motion = _motion(plots.runs)
+    motion = _motion(plots)
     page = render(
         "run.html.j2",
         CHARTS if motion is None else (*CHARTS, ANIMATION[1]),
@@ -198,19 +198,20 @@ def _write(
     return path
 
 
-def _motion(runs: Mapping[str, Recording]) -> dict[str, Any] | None:
+def _motion(plots: Plots) -> dict[str, Any] | None:
     """Return what is shown in motion: the pendulum, or the bodies that the first run's scenario has; None where none is."""
+    runs = plots.runs
     if not runs or min(len(run.time) for run in runs.values()) < 2:
         return None
     first = next(iter(runs.values()))
     if all(is_rotary(run) for run in runs.values()):
-        return pendulum_in_motion(runs)
+        return pendulum_in_motion(runs, plots.colours)
     scenario = first.metadata.get("scenario")
     listed = scenario.get("animation") if isinstance(scenario, dict) else None
     bodies = checked(_Bodies, {"animation": listed or ()}, "the result's metadata: scenario").animation
     for run in runs.values():
         check_signals(bodies, run.signals)
-    return bodies_in_motion(runs, bodies) if bodies else None
+    return bodies_in_motion(runs, plots.colours, bodies) if bodies else None
 
 
 class _Bodies(BaseModel):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.animation import BodySection
+from cosim.plots import COLOURS
 from cosim.report.motion import FRAME, MOST_FRAMES, bodies_in_motion, pendulum_in_motion
 from cosim.results import Result
 
@@ -18,7 +19,7 @@ def body(name, shape, size=1.0, **entries):
 
 def moved(bodies, **signals):
     result = Result(TIME, {f"plant.{name}": values for name, values in signals.items()}, {})
-    found = bodies_in_motion({"run": result}, bodies)
+    found = bodies_in_motion({"run": result}, {"run": "#123456"}, bodies)
     assert found["step"] == pytest.approx(FRAME)
     times = found["step"] * np.arange(found["frames"])
     return times, [[np.array(values) for values in place] for place in found["runs"][0]["bodies"]]
@@ -54,7 +55,7 @@ def test_the_second_link_of_an_arm_counts_from_the_first_and_angles_may_be_clock
 
 def test_a_long_run_has_fewer_samples_and_runs_of_other_lengths_the_same(made_result):
     long, short = made_result(np.arange(0.0, 100.0, 0.01)), made_result(TIME, controller_mode=TIME > 1.0)
-    found = pendulum_in_motion({"LC": long, "IHC": short})
+    found = pendulum_in_motion({"LC": long, "IHC": short}, COLOURS)
     assert {len(run["theta"]) for run in found["runs"]} == {MOST_FRAMES}
     assert found["step"] * (MOST_FRAMES - 1) == pytest.approx(long.time[-1])
     assert found["runs"][1]["mode"][-1] == 1

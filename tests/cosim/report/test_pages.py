@@ -45,6 +45,13 @@ setTimeout(() => {
   setTimeout(() => {
     keep("drawn", canvas.toDataURL() !== before);
     keep("dragged", shown());
+    const touch = (kind, pointerId, part) => over.dispatchEvent(new PointerEvent(kind, {
+      pointerType: "touch", pointerId, clientX: left + part * width, clientY: top + 20, bubbles: true,
+    }));
+    for (const [kind, finger, part] of [["down", 1, 0.25], ["down", 2, 0.75], ["move", 1, 0], ["move", 2, 1]]) {
+      touch(`pointer${kind}`, finger, part);
+    }
+    keep("pinched", shown());
     keep("read", [...document.querySelectorAll(".legend output")].some((one) => one.textContent !== ""));
     URL.createObjectURL = (blob) => { blob.text().then((text) => keep("saved", text)); return "#"; };
     document.querySelector("[data-download]").click();
@@ -151,7 +158,8 @@ def test_the_page_of_a_run_can_be_played_with_on_a_telephone_in_the_dark(page_of
     assert (seen["pressed"], seen["drawn"], seen["read"]) == ("false", "true", "true")
     assert seen["sought"] == "0.300"
     assert seen["shown"] == "shown: 1 to 3 s"
-    assert [float(word) for word in seen["dragged"].split()[1:4:2]] == pytest.approx([1.5, 2.5], abs=0.02)  # a pixel
+    for act, limits in (("dragged", [1.5, 2.5]), ("pinched", [1.75, 2.25])):
+        assert [float(word) for word in seen[act].split()[1:4:2]] == pytest.approx(limits, abs=0.02)  # a pixel
     rows = seen["saved"].strip().splitlines()
     assert len(rows) == 4002
     assert [float(value) for value in rows[2].split(",")[:1]] == [1e-3]
