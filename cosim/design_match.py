@@ -256,9 +256,9 @@ def explanations(system: System, both: Answers, known: Known) -> Iterator[Explan
     inputs = [system.inputs[j] for j in both.columns]
     for order, factors in _changes(inputs, known):
         turned = (both.design / both.u_size)[:, :, list(order)] * factors * both.u_size
-        found = _assigned(system, both, turned, known)
-        if found is not None:
-            yield _said(inputs, order, 1.0 / factors, "inputs", known) + found
+        assigned = _assigned(system, both, turned, known)
+        if assigned is not None:
+            yield _said(inputs, order, 1.0 / factors, "inputs", known) + assigned
 
 
 def _orders_of_states(system: System, both: Answers) -> Iterator[Explanation]:

@@ -41,8 +41,8 @@ class Laid:
     def seen(self) -> Result:
         """The simulation with the signals that were measured, judged as what was measured."""
         kept = {name: signal for name, signal in self.simulated.signals.items() if name in self.measured.signals}
-        about = {**self.simulated.metadata, "evaluation": self.measured.metadata["evaluation"]}
-        return Result(self.simulated.time, kept, {name: self.simulated.units[name] for name in kept}, about)
+        metadata = {**self.simulated.metadata, "evaluation": self.measured.metadata["evaluation"]}
+        return Result(self.simulated.time, kept, {name: self.simulated.units[name] for name in kept}, metadata)
 
 
 def lay(
@@ -72,8 +72,8 @@ def lay(
     duration = max(1, math.ceil(time[-1] / step - 1e-6)) * step
     simulated = run_scenario(scenario.changed({"run.duration": duration}), fmus, folder, progress)
     signals = {name: whole[name][rows] for name in known if name in whole.signals}
-    about = _judged_by(simulated, signals)
-    metadata = {**whole.metadata, "evaluation": about.model_dump(mode="json")}
+    evaluation = _judged_by(simulated, signals)
+    metadata = {**whole.metadata, "evaluation": evaluation.model_dump(mode="json")}
     measured = Result(time, signals, {name: coupling.unit(name) for name in signals}, metadata)
     return Laid(measured, simulated, left_out)
 
@@ -107,19 +107,19 @@ def _check_any(path: Path, names: Collection[str], known: Sequence[str]) -> None
 
 def _judged_by(simulated: Result, measured: Collection[str]) -> Evaluation:
     """Return what both can be judged by: of what the simulation is judged by that which was measured."""
-    about = pendulum_evaluation(measured)
+    evaluation = pendulum_evaluation(measured)
     if "evaluation" in simulated.metadata:
-        about = evaluation_in(simulated)
-    if about.kind == "pendulum" and not missing_signals(measured, about):
-        return about.model_copy(update={"norm": about.norm if about.norm in measured else None})
-    kept = [k for k, e in enumerate(about.errors) if {e.signal, e.set_point or e.signal} <= set(measured)]
+        evaluation = evaluation_in(simulated)
+    if evaluation.kind == "pendulum" and not missing_signals(measured, evaluation):
+        return evaluation.model_copy(update={"norm": evaluation.norm if evaluation.norm in measured else None})
+    kept = [k for k, e in enumerate(evaluation.errors) if {e.signal, e.set_point or e.signal} <= set(measured)]
     return Evaluation(
-        errors=tuple(about.errors[k] for k in kept),
-        controls=tuple(control for control in about.controls if control.signal in measured),
-        scales=None if about.scales is None else tuple(about.scales[k] for k in kept),
-        tolerance=about.tolerance,
-        mode=about.mode if about.mode is not None and about.mode.signal in measured else None,
-        norm=about.norm if about.norm in measured else None,
+        errors=tuple(evaluation.errors[k] for k in kept),
+        controls=tuple(control for control in evaluation.controls if control.signal in measured),
+        scales=None if evaluation.scales is None else tuple(evaluation.scales[k] for k in kept),
+        tolerance=evaluation.tolerance,
+        mode=evaluation.mode if evaluation.mode is not None and evaluation.mode.signal in measured else None,
+        norm=evaluation.norm if evaluation.norm in measured else None,
     )
 
 
@@ -131,13 +131,13 @@ def differences(
     Between its own rows the simulation is a line. `angles` [rad] are signals of which whole turns do not count.
     """
     common = measured.time <= simulated.time[-1] + 1e-9
-    found = {}
+    differences = {}
     for name in names:
         difference = np.interp(measured.time[common], simulated.time, simulated[name]) - measured[name][common]
         if name in angles:
             difference = wrapped(difference)
-        found[name] = float(np.sqrt(np.mean(difference**2)))
-    return found
+        differences[name] = float(np.sqrt(np.mean(difference**2)))
+    return differences
 
 
 def compared(laid: Laid) -> dict[str, float]:

@@ -38,9 +38,9 @@ def state_pairs(instance: Instance, states: tuple[str, ...]) -> list[tuple[str, 
         return name if name in own and name + START not in settable else name + START
 
     if not states:
-        found = [(name, setter(name)) for name in readable if setter(name) in settable]
-        if found:
-            return _bounded(found, "states")
+        pairs = [(name, setter(name)) for name in readable if setter(name) in settable]
+        if pairs:
+            return _bounded(pairs, "states")
         raise HiddenStatesError(
             f"{instance.path} is for co-simulation only and does not say what its states are: name each with --state "
             f"OUTPUT=PARAMETER, the real output that shows it and the parameter that sets it at the start"

@@ -181,10 +181,10 @@ class _Reader:
             return inline
         source = binding.get("source", "")
         path = self._inside(source, "a set of parameters")
-        found = _parsed(path.read_bytes(), source)
-        if found.tag != f"{{{SSV}}}ParameterSet":
-            raise UserError(f"{source} must be a ParameterSet, found {_local(found.tag)}")
-        return found
+        root = _parsed(path.read_bytes(), source)
+        if root.tag != f"{{{SSV}}}ParameterSet":
+            raise UserError(f"{source} must be a ParameterSet, found {_local(root.tag)}")
+        return root
 
     def _wire(self, connection: ET.Element) -> Iterator[dict[str, Any]]:
         """Yield the wire of a connection; none where it ends at the system's own border, which nothing is behind."""
@@ -212,15 +212,15 @@ class _Reader:
         if connection.get("suppressUnitConversion", "false") in ("true", "1"):
             return {}
         scales = [scale_of(self._description(name), self._unit(name, variable)) for name, variable in (source, target)]
-        found = None if None in scales else conversion(*(scale for scale in scales if scale is not None))
-        return {} if found is None else {"factor": found[0], "offset": found[1]}
+        converted = None if None in scales else conversion(*(scale for scale in scales if scale is not None))
+        return {} if converted is None else {"factor": converted[0], "offset": converted[1]}
 
     def _description(self, name: str) -> ModelDescription:
         return describe(self.paths[name])
 
     def _unit(self, component: str, variable: str) -> str:
-        found = (v.unit for v in self._description(component).modelVariables if v.name == variable)
-        return next(found, None) or ""
+        units = (v.unit for v in self._description(component).modelVariables if v.name == variable)
+        return next(units, None) or ""
 
     def _fill(self, start: dict[str, dict[str, StartValue]], wires: list[dict[str, Any]]) -> None:
         """Give the inputs of a controller that nothing is connected to the start values that they have by the standard."""

@@ -138,16 +138,16 @@ class CoSimulationPlant(Plant):
             for port in held:
                 port.values[:] = list(u.values())
             advance = instance.stepper()
-            found = [self._read(instance, read)[self.n :]]
+            readings = [self._read(instance, read)[self.n :]]
             for k in range(2 * count):
                 self.look()
                 instance.transfer(held)
                 advance(k * step, step)
                 if k + 1 in (count, 2 * count):
-                    found.append(self._read(instance, read))
+                    readings.append(self._read(instance, read))
         finally:
             instance.close()
-        return np.concatenate((*found[1:], found[0]))
+        return np.concatenate((*readings[1:], readings[0]))
 
     def _read_names(self) -> list[str]:
         return [v.name for v in (*self.states, *self.outputs)]
@@ -165,10 +165,10 @@ class CoSimulationPlant(Plant):
 
     def _jacobian(self, z: Array, count: int, step: float) -> Array:
         sizes, times = self.sizes(z), (count * step, 2 * count * step)
-        found = jacobian(lambda at: self._ends(at, count, step), z, sizes)
+        ends = jacobian(lambda at: self._ends(at, count, step), z, sizes)
         rows = [f"{name} after {time:g} s" for time in times for name in self._read_names()]
-        check_smooth(found, sizes, [*rows, *(f"{v.name} at the start" for v in self.outputs)], self.names)
-        return found.J
+        check_smooth(ends, sizes, [*rows, *(f"{v.name} at the start" for v in self.outputs)], self.names)
+        return ends.J
 
     def _logarithm(self, J: Array, z: Array, time: float) -> tuple[Array, Array, Array]:
         """Return A, B of x(T), T = `time`, and their relative difference from those of x(2 T)."""
@@ -196,10 +196,10 @@ class CoSimulationPlant(Plant):
         """Return [A B] of the map M = [exp(A T), ...] over T = `time`."""
         whole = np.eye(self.n + self.m)
         whole[: self.n] = M
-        found = logarithm(whole)
-        if not np.isfinite(found).all():
+        rates = logarithm(whole)
+        if not np.isfinite(rates).all():
             raise UserError(f"the states of {self.path} change too much within {time:g} s: take a shorter --step")
-        return found[: self.n] / time
+        return rates[: self.n] / time
 
     def _check_start(self, at_start: Array, z: Array) -> None:
         """Refuse parameters that do not set their states: the map of no step must be near the unit matrix."""
@@ -215,22 +215,22 @@ class CoSimulationPlant(Plant):
     def _output_matrices(self, J: Array, z: Array, notes: list[str]) -> tuple[Array, Array]:
         """Return C, D of y(T) = C x(T) + D u; they must be the same for 2 T."""
         n, p, sizes = self.n, len(self.outputs), self.sizes(z)
-        found = []
+        CDs = []
         for begin in (0, n + p):
             M, Y = J[begin : begin + n], J[begin + n : begin + n + p]
             C = np.linalg.solve(M[:, :n].T, Y[:, :n].T).T
-            found.append(np.hstack((C, Y[:, n:] - C @ M[:, n:])))
-        error = relative(np.abs(found[0] - found[1]), found[0], sizes)
+            CDs.append(np.hstack((C, Y[:, n:] - C @ M[:, n:])))
+        error = relative(np.abs(CDs[0] - CDs[1]), CDs[0], sizes)
         if error.max(initial=0.0) > LARGEST_ERROR:
             i = int(np.argmax(error.max(axis=1)))
             raise UserError(
                 f"the output {self.outputs[i].name} is no function of the states {', '.join(self.names[:n])}"
             )
         first = J[2 * (n + p) :]
-        late = relative(np.abs(first - found[0]), found[0], sizes).max(axis=1, initial=0.0)
+        late = relative(np.abs(first - CDs[0]), CDs[0], sizes).max(axis=1, initial=0.0)
         for i in np.flatnonzero((late > 1e-4) & first.any(axis=1)):
             notes.append(
                 f"{self.outputs[i].name} depends on the state otherwise at the start than after a step: it seems to be late"
             )
-        CD = without_noise(found[0], found[1], sizes)
+        CD = without_noise(CDs[0], CDs[1], sizes)
         return CD[:, :n], CD[:, n:]

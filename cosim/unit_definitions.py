@@ -48,8 +48,8 @@ def unit_in(name: str, variables: Mapping[str, Mapping[str, ScalarVariable]], wi
         w.target if w.source == name else w.source for w in wires if name in (w.source, w.target) and not w.converts
     ]
     split = [end.partition(".") for end in ends]
-    found = [variables[component][name] for component, _, name in split if name in variables.get(component, {})]
-    return next(filter(None, (*map(declared_unit, found), *map(unit_of, found[:1]))))
+    ends = [variables[component][name] for component, _, name in split if name in variables.get(component, {})]
+    return next(filter(None, (*map(declared_unit, ends), *map(unit_of, ends[:1]))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,10 +99,10 @@ def conversion_asked(source: Scale | None, target: Scale | None) -> tuple[float,
 
 def scale_text(source: Scale | None, target: Scale | None) -> str:
     """Return what to write so that a wire converts, for the end of a message; empty where the FMUs do not say."""
-    found = None if source is None or target is None else conversion(source, target)
-    if found is None:
+    converted = None if source is None or target is None else conversion(source, target)
+    if converted is None:
         return ""
-    factor, offset = found
+    factor, offset = converted
     return f"; it converts with factor = {factor!r}" + (f" and offset = {offset!r}" if offset else "")
 
 

@@ -95,12 +95,12 @@ def remove_earlier(path: Path, what: str) -> None:
 
 def _stamps(places: Iterable[Path]) -> dict[Path, tuple[int, int]]:
     """Return what tells a file that was replaced from the earlier one, of files that there are."""
-    found = {}
+    stamps = {}
     for path in (file for place in places for file in (place.iterdir() if is_folder(place) else (place,))):
         with suppress(OSError, ValueError):
             status = path.stat()
-            found[path] = (status.st_ino, status.st_mtime_ns)
-    return found
+            stamps[path] = (status.st_ino, status.st_mtime_ns)
+    return stamps
 
 
 def escaped(thing: object) -> str:

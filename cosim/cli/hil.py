@@ -112,6 +112,8 @@ def hil(
     from ..scenario import load_scenario
     from ..scenario_system import build_system, controller_design
 
+    if check and (report or report_file is not None):
+        raise UserError("--check makes no run that a page could show; it takes neither --report nor --report-file")
     if on_fall not in ("swing-up", "stop"):
         raise UserError(f"--on-fall must be swing-up or stop, found {on_fall!r}")
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
@@ -284,9 +286,11 @@ def _print_report(report: HardwareRun, path: Path) -> None:
 def _timing(result: Result) -> tuple[str, Sequence[str], list[list[str]]]:
     """Return title, headings and rows of the table of a run's timing."""
     names = {"lateness": "sample read late", "latency": "sample to command", "step_time": "controller's step"}
-    found = result.metadata["hil"]["timing"]
+    timing = result.metadata["hil"]["timing"]
     rows = [
-        [text, *(f"{1e6 * value:.1f}" for value in found[name].values())] for name, text in names.items() if found[name]
+        [text, *(f"{1e6 * value:.1f}" for value in timing[name].values())]
+        for name, text in names.items()
+        if timing[name]
     ]
     return "timing of the run [us]", ("", "p50", "p99", "p99.9", "max"), rows
 
@@ -359,7 +363,7 @@ def check_device(scenario: Scenario) -> None:
         )
     elsewhere = [s.input for s in scenario.signals if not s.input.startswith(f"{CONTROLLER}.")]
     if elsewhere or (scenario.disturbance.sines and scenario.disturbance.gain):
-        found = f"a signal on {elsewhere[0]}" if elsewhere else "a disturbance of the plant"
+        unusable = f"a signal on {elsewhere[0]}" if elsewhere else "a disturbance of the plant"
         raise UserError(
-            f"on a device signals can act on the controller's inputs only, and the scenario {scenario.name} has {found}"
+            f"on a device signals can act on the controller's inputs only, and the scenario {scenario.name} has {unusable}"
         )

@@ -90,8 +90,8 @@ class Plots:
         groups = evaluation.error_groups if len(evaluation.errors) > 1 else {}
         for suffix, group in groups.items():
             title, unit = norm_name(evaluation, suffix)
-            found = {name: error_norm(run, evaluation, group) for name, run in self.runs.items()}
-            self._add_positive(title, unit, found)
+            norms = {name: error_norm(run, evaluation, group) for name, run in self.runs.items()}
+            self._add_positive(title, unit, norms)
         for control in evaluation.controls:
             curves = [
                 self._curve(name, control.signal, control.unit, run[control.signal], control.name, held=True)
@@ -235,11 +235,11 @@ def thinned(time: Array, columns: Sequence[Array], most: int) -> tuple[Array, li
     per = math.ceil(2 * rows / most)
     begins = np.arange(0, rows, per)
     ends = np.append(begins[1:], rows) - 1
-    found = [_Parts(values, len(begins), per) for values in columns]
-    gaps = [np.any([parts.gaps[k] for parts in found], axis=0) for k in range(3)]
+    stretches = [_Parts(values, len(begins), per) for values in columns]
+    gaps = [np.any([parts.gaps[k] for parts in stretches], axis=0) for k in range(3)]
     kept = np.column_stack([gaps[0], ends >= begins, gaps[1], ends > begins, gaps[2]]).ravel()
     times = np.column_stack([time[k] for k in (begins, begins, ends, ends, ends)]).ravel()[kept]
-    return times, [parts.rows()[kept] for parts in found], per
+    return times, [parts.rows()[kept] for parts in stretches], per
 
 
 class _Parts:

@@ -259,5 +259,5 @@ def _facts(result: Recording) -> dict[str, str]:
 
 
 def _device(metadata: Mapping[str, Any]) -> str:
-    about = metadata.get("hil")
-    return str(about.get("device", "")) if isinstance(about, dict) else ""
+    device_run = metadata.get("hil")
+    return str(device_run.get("device", "")) if isinstance(device_run, dict) else ""

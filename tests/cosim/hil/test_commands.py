@@ -390,3 +390,9 @@ def test_check_without_the_sdk(hil):
     ((word, text),) = findings(done)
     assert word == "wrong"
     assert "is not installed" in text
+
+
+def test_a_check_has_no_page(hil):
+    done = hil("--check", "--report")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "it takes neither --report nor --report-file" in done.stderr
