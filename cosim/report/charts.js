@@ -142,14 +142,18 @@
     if (cycle > 1) return before;
     u.ctx.font = font[0];
     const widths = numbers.map((text) => u.ctx.measureText(text).width / uPlot.pxRatio);
-    return Math.max(AXIS, Math.ceil(Math.max(0, ...widths) + gap + ticks.size));
+    return Math.max(AXIS, Math.ceil(Math.max(0, ...widths) + 2 * gap + ticks.size));
   }
 
   function options(chart, width) {
     const lines = { stroke: soft, width: 1 };
     const numbers = (_u, splits) => splits.map((v) => number(v, 8));
     const axis = { stroke: ink, grid: lines, ticks: lines, labelSize: 22, labelGap: 0, values: numbers };
-    const all = (_u, splits) => splits;
+    const powers = {
+      splits: places,
+      filter: (_u, splits) => splits, // all of them
+      values: (_u, splits) => splits.map((v) => (v < 1e-3 ? v.toExponential().replace("-", "\u2212") : number(v, 8))),
+    };
     const held = uPlot.paths.stepped({ align: -1 });
     return {
       width,
@@ -162,7 +166,7 @@
       },
       axes: [
         { ...axis, label: "time [s]", size: 34 },
-        { ...axis, label: chart.label, size: room, ...(chart.floor ? { splits: places, filter: all } : {}) },
+        { ...axis, label: chart.label, size: room, ...(chart.floor ? powers : {}) },
       ],
       series: [
         {},
