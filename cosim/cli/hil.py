@@ -15,7 +15,7 @@ from fmu_export.files import uninterrupted
 from fmu_export.variables import did_you_mean
 
 from ..errors import UserError
-from .display import console, escaped, print_metrics, problems, say_notes, show_table
+from .display import console, escaped, print_metrics, problems, remove_earlier, say_notes, show_table
 from .options import (
     FAILED,
     SCENARIO_HELP,
@@ -245,6 +245,8 @@ def _run(
     _print_report(report, path)
     if page is not None and len(report.result.time):
         _write_page(report, path, page)
+    elif page is not None and page.path is not None:
+        remove_earlier(page.path, "report")
     if report.stop == "signal" and not report.failures:
         raise typer.Exit(128 + report.signal)
     if report.stop == "fault" or report.failures:
@@ -315,14 +317,17 @@ def _write_page(report: HardwareRun, path: Path, page: Page) -> None:
             *page.notes,
             *(f"{text} (at {time:.3f} s)" for text, time in about["warnings"].items()),
             *(f"while stopping: {text}" for text in report.failures),
-            *about["environment"],
         ],
         design=page.design,
         table=path,
         more=Findings(
             [Verdict(how, report.reason, "good" if good else "bad")],
             [Table(*_timing(result))],
-            remarks=[_missed(result), *(f"{name}: {count}" for name, count in about["counters"].items() if count)],
+            remarks=[
+                *about["environment"],
+                _missed(result),
+                *(f"{name}: {count}" for name, count in about["counters"].items() if count),
+            ],
         ),
     )
     console.print(f"wrote {escaped(file)}", soft_wrap=True)

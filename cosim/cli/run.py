@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,7 +27,7 @@ from .options import (
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from ..results import Result
+    from ..results import Interrupted, Result, SimulationError
 
 
 def run(
@@ -50,7 +49,8 @@ def run(
 ) -> None:
     """Run one scenario with the exported FMUs; write its signals (CSV, JSON) and a picture, print its metrics.
 
-    A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`.
+    A run that fails or is interrupted leaves what was recorded until then in `NAME.partial.csv`, its page in
+    `NAME.partial.html` or the file of `--report-file`.
     """
     from ..judged_signals import can_draw, can_evaluate
     from ..remarks import remarks_after, remarks_before, rest_remarks
@@ -71,10 +71,11 @@ def run(
     )
     if plot:
         check_replaceable(path.with_suffix(".png"))
-    page = page_wanted(report, report_file, path.with_suffix(".html"))
+    page, page_of_failure = (page_wanted(report, report_file, p.with_suffix(".html")) for p in (path, unfinished))
     system = build_system(loaded_scenario, fmus, folder)
     notes = remarks_before(system, loaded_scenario)
     say_notes(notes)
+    of_controller = (None, []) if page is None else controller_design(system, loaded_scenario, folder)
     with progress() as bar:
         task = bar.add_task(loaded_scenario.name, total=None)
         try:
@@ -86,10 +87,10 @@ def run(
                 target=path.parent,
             )
         except (SimulationError, Interrupted) as stopped:
-            if len(stopped.result.time):
+            if count := len(stopped.result.time):
                 partial = _save(stopped.result, unfinished)
-                count = len(stopped.result.time)
                 bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
+            _report_failure(stopped, page_of_failure, notes, of_controller, unfinished)
             raise
         try:
             _save(result, path)
@@ -110,16 +111,42 @@ def run(
     if can_evaluate(result):
         print_metrics(result)
     if page is not None:
-        of_controller = controller_design(system, loaded_scenario, folder)
         _report(result, page, [*notes, *rest_remarks(result, system)], of_controller, path)
 
 
-def _report(
-    result: Result, page: Page, notes: Sequence[str], of_controller: tuple[Design | None, list[str]], table: Path
+def _report_failure(
+    stopped: SimulationError | Interrupted,
+    page: Page | None,
+    notes: Sequence[str],
+    of_controller: tuple[Design | None, list[str]],
+    table: Path,
 ) -> None:
+    from ..results import SimulationError
+
+    if page is None:
+        remove_earlier(table.with_suffix(".html"), "report")
+        return
+    what = "failed" if isinstance(stopped, SimulationError) else "interrupted"
+    why = str(stopped) or "by the user"
+    _report(stopped.result, page, notes, of_controller, table, (what, why))
+
+
+def _report(
+    result: Result,
+    page: Page,
+    notes: Sequence[str],
+    of_controller: tuple[Design | None, list[str]],
+    table: Path,
+    failure: tuple[str, str] | None = None,
+) -> None:
+    """Write the page of a run; `failure` is what happened to it, in a word, and why."""
+    from ..report.pages import Findings, Verdict, write_result
+
     design, uncovered = of_controller
-    page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=design)
-    written = result.report(page.path or table.with_suffix(".html"), notes=page.notes, design=page.design, table=table)
+    more = None if failure is None else Findings([Verdict(*failure, "bad")])
+    notes = [*dict.fromkeys([*notes, *uncovered])]
+    path, saved = page.path or table.with_suffix(".html"), table if len(result.time) else None
+    written = write_result(path, result, notes=notes, design=design, table=saved, more=more)
     console.print(f"wrote {escaped(written)}")
 
 

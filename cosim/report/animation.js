@@ -417,10 +417,16 @@
   // --- chart --------------------------------------------------------------------------------------------------------
 
   const MARGIN = { left: 46, right: 14, top: 30, bottom: 40 };
+  const LINE = 18; // height of a line of text
+  const LABEL = "|q| = √(θ² + δ²) [rad]";
 
   function drawChart(t) {
     const { context, width, height } = prepare(chart);
-    const [left, right, top, bottom] = [MARGIN.left, width - MARGIN.right, MARGIN.top, height - MARGIN.bottom];
+    context.font = `12px ${colours.font}`;
+    const wide = (text) => context.measureText(text).width;
+    const legend = views.reduce((sum, view) => sum + wide(String(view.run.name)) + 38, 0);
+    const above = wide(LABEL) + legend + MARGIN.left + MARGIN.right > width ? LINE : 0; // the legend has its own line
+    const [left, right, top, bottom] = [MARGIN.left, width - MARGIN.right, MARGIN.top + above, height - MARGIN.bottom];
     if (right <= left || bottom <= top) return;
     const x = (time) => left + ((right - left) * time) / duration;
     const y = (q) => bottom - ((bottom - top) * Math.log(Math.max(q, 1e-9) / LOWEST)) / Math.log(HIGHEST / LOWEST);
@@ -435,7 +441,6 @@
       [context.textAlign, context.textBaseline, context.fillStyle] = [align, baseline, colour];
       context.fillText(text, ...at);
     };
-    context.font = `12px ${colours.font}`;
 
     for (const [q, label] of [[1e-3, "10⁻³"], [1e-2, "10⁻²"], [1e-1, "10⁻¹"], [1, "1"]]) {
       line([[left, y(q)], [right, y(q)]], colours.line, 1);
@@ -448,14 +453,14 @@
       write(String(Number((i * gap).toPrecision(6))), [x(i * gap), bottom + 6], "center", "top", colours.soft);
     }
     write("t [s]", [(left + right) / 2, height - 4], "center", "bottom", colours.ink);
-    write("|q| = √(θ² + δ²) [rad]", [left, top - 10], "left", "bottom", colours.ink);
+    write(LABEL, [left, top - 10], "left", "bottom", colours.ink);
 
     let end = right; // the legend, from the right
     for (const view of [...views].reverse()) {
       const name = String(view.run.name);
-      write(name, [end, top - 10], "right", "bottom", colours.ink);
-      end -= context.measureText(name).width + 6;
-      line([[end - 16, top - 16], [end, top - 16]], view.colour, 2.5);
+      write(name, [end, top - 10 - above], "right", "bottom", colours.ink);
+      end -= wide(name) + 6;
+      line([[end - 16, top - 16 - above], [end, top - 16 - above]], view.colour, 2.5);
       end -= 32;
     }
 

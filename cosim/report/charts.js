@@ -1,7 +1,8 @@
 // Draws the plots of a page, by uPlot, from the JSON in #report-data:
 // {tables: [{file, time, columns: [{name, unit, values}], modes: [{colour, begin, end}]}],
-//  charts: [{label, logarithmic, curves: [{table, column, name, colour, dashed, held}]}]};
-// times and values are {type: "f4" or "f8", base64}, NaN where there is a gap. A figure with data-chart="0" gets the first
+//  charts: [{label, floor, curves: [{table, column, name, colour, dashed, held}]}]};
+// times and values are {type: "f4" or "f8", base64}, NaN where there is a gap. Where a floor is not 0, the axis is logarithmic,
+// and smaller values are drawn on its lower edge. A figure with data-chart="0" gets the first
 // chart, when it is unfolded; a button with data-download="0" writes the first table as CSV.
 (() => {
   "use strict";
@@ -11,7 +12,7 @@
   const { tables, charts } = JSON.parse(source.textContent);
 
   const HEIGHT = 260; // of a plot [CSS px]
-  const AXIS = 64; // room for the numbers beside it [CSS px]
+  const AXIS = 64; // room for the numbers beside it, at least [CSS px]
   const STRIP = 6; // height of the controller's modes where there are several runs [CSS px]
   const PRINTED = 680; // width on paper [CSS px]
   const root = document.documentElement;
@@ -31,8 +32,9 @@
     return of.values;
   }
 
-  function joined({ curves, logarithmic }) { // one list of times, and the values of each curve there
-    const drawn = (values) => values.map((v) => (Number.isFinite(v) && (v > 0 || !logarithmic) ? v : null));
+  function joined({ curves, floor }) { // one list of times, and the values of each curve there, 0 for those below the floor
+    const logarithmic = (v) => (v >= floor ? v : v >= 0 ? 0 : null);
+    const drawn = (values) => values.map((v) => (!Number.isFinite(v) ? null : floor ? logarithmic(v) : v));
     const single = curves.map((curve) => [tables[curve.table].time, drawn(valuesOf(curve))]);
     return single.length > 1 ? uPlot.join(single) : single[0];
   }
@@ -46,7 +48,7 @@
 
   // --- plots --------------------------------------------------------------------------------------------------------
 
-  const plots = []; // {uplot, curves, buttons, outputs, place}
+  const plots = []; // {uplot, curves, floor, buttons, outputs, place}
   const hidden = new Set(); // names of curves that are switched off
   let range = [first, last];
 
@@ -82,6 +84,32 @@
     return [low - below * size, high + 0.06 * size];
   }
 
+  function wider(floor) { // limits of a logarithmic axis, of what is above the floor
+    return (_u, low, high) => {
+      if (!(low > 0) || !(high >= low) || high === Infinity) return [floor, 10 * floor];
+      const size = low === high ? 2 : high / low;
+      return [low / size ** below, high * size ** 0.06];
+    };
+  }
+
+  // Where a logarithmic axis has numbers: at powers of ten, over few of them at 1, 2 and 5 times these, else evenly.
+  function places(_u, _axis, low, high) {
+    const decades = Math.log10(high / low);
+    const found = [];
+    if (decades < 1) {
+      const power = 10 ** Math.floor(Math.log10((high - low) / 3));
+      const step = power * [5, 2, 1].find((factor) => factor * power <= (high - low) / 3);
+      for (let k = Math.ceil(low / step); k * step <= high; k++) found.push(Number((k * step).toPrecision(12)));
+      return found;
+    }
+    const every = Math.ceil(decades / 8);
+    for (let k = Math.ceil(Math.log10(low)) - 1; k <= Math.log10(high); k++) {
+      const factors = decades < 3 ? [1, 2, 5] : k % every === 0 ? [1] : [];
+      found.push(...factors.map((factor) => Number(`${factor}e${k}`)).filter((v) => v >= low && v <= high));
+    }
+    return found;
+  }
+
   // A line that ends before a gap however narrow that is; uPlot's own joins what falls on one column of pixels.
   function broken(u, series, from, to) {
     const stroke = new Path2D();
@@ -108,15 +136,23 @@
     return index;
   }
 
-  const isPower = (value) => Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-9; // of ten
+  function room(u, numbers, side, cycle) { // for the numbers beside an axis
+    if (!numbers) return AXIS;
+    const { font, gap, ticks, _size: before } = u.axes[side];
+    if (cycle > 1) return before;
+    u.ctx.font = font[0];
+    const widths = numbers.map((text) => u.ctx.measureText(text).width / uPlot.pxRatio);
+    return Math.max(AXIS, Math.ceil(Math.max(0, ...widths) + 2 * gap + ticks.size));
+  }
 
   function options(chart, width) {
     const lines = { stroke: soft, width: 1 };
     const numbers = (_u, splits) => splits.map((v) => number(v, 8));
     const axis = { stroke: ink, grid: lines, ticks: lines, labelSize: 22, labelGap: 0, values: numbers };
-    const powers = { // numbers and lines at powers of ten only
-      grid: { ...lines, filter: (_u, splits) => splits.map((v) => (isPower(v) ? v : null)) },
-      values: (_u, splits) => splits.map((v) => (v === null || !isPower(v) ? null : number(v))),
+    const powers = {
+      splits: places,
+      filter: (_u, splits) => splits, // all of them
+      values: (_u, splits) => splits.map((v) => (v < 1e-3 ? v.toExponential().replace("-", "\u2212") : number(v, 8))),
     };
     const held = uPlot.paths.stepped({ align: -1 });
     return {
@@ -126,11 +162,11 @@
       legend: { show: false },
       scales: {
         x: { time: false, range: () => range },
-        y: chart.logarithmic ? { distr: 3 } : { range: around },
+        y: chart.floor ? { distr: 3, range: wider(chart.floor), clamp: (_u, _v, low) => low } : { range: around },
       },
       axes: [
         { ...axis, label: "time [s]", size: 34 },
-        { ...axis, label: chart.label, size: AXIS, ...(chart.logarithmic ? powers : {}) },
+        { ...axis, label: chart.label, size: room, ...(chart.floor ? powers : {}) },
       ],
       series: [
         {},
@@ -167,7 +203,8 @@
     const { idx, idxs } = u.cursor;
     plot.outputs.forEach((output, k) => {
       const at = idx === null || idx === undefined ? null : u.data[k + 1][idxs[k + 1] ?? idx];
-      output.textContent = at === null || at === undefined ? "" : ` ${number(at)}`;
+      const under = at === 0 && plot.floor; // on the edge
+      output.textContent = at === null || at === undefined ? "" : under ? ` < ${number(under)}` : ` ${number(at)}`;
     });
     if (idx !== null && idx !== undefined) moment.textContent = `t = ${number(u.data[0][idx])} s`;
   }
@@ -212,7 +249,7 @@
     });
     colourLines();
     const uplot = new uPlot(options(chart, place.clientWidth), joined(chart), place);
-    plots.push({ uplot, curves: chart.curves, buttons, outputs, place });
+    plots.push({ uplot, curves: chart.curves, floor: chart.floor, buttons, outputs, place });
     fingers(uplot);
     new ResizeObserver(() => {
       if (!root.classList.contains("printing")) resize(uplot, place.clientWidth);

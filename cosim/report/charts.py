@@ -35,6 +35,12 @@ LEAST_ROWS = 2000
 MOST_SIGNALS = 100
 """Of the signals of one run besides those that it is judged by."""
 
+DECADES = 16
+"""Of a logarithmic axis, below the largest value: as many digits as a number has."""
+
+SMALLEST = -300
+"""Power of ten on a logarithmic axis."""
+
 SINGLE = 1e-37, 1e37
 """Magnitudes of numbers that single precision holds with all its digits."""
 
@@ -58,7 +64,9 @@ class Chart:
     title: str
     unit: str
     curves: tuple[Curve, ...]
-    logarithmic: bool = False
+    floor: float = 0.0
+    """Of a logarithmic axis: smaller values are drawn on its lower edge; 0: the axis is linear."""
+    remark: str = ""
 
     @property
     def label(self) -> str:
@@ -135,8 +143,13 @@ class Plots:
     def _add_positive(self, title: str, unit: str, found: Mapping[str, Array]) -> None:
         """Add a plot with a logarithmic axis, unless there is nothing to show on one."""
         curves = tuple(self._curve(name, title, unit, values, title) for name, values in found.items())
-        if any(np.any(values > 0.0) for values in found.values()):
-            self.charts.append(Chart(title, unit, curves, logarithmic=True))
+        drawn = {curve.name: self.columns[curve.run][curve.column][1] for curve in curves}
+        largest = max((float(values[values > 0.0].max(initial=0.0)) for values in drawn.values()), default=0.0)
+        if largest > 0.0:
+            floor = 10.0 ** max(math.floor(math.log10(largest)) - DECADES, SMALLEST)
+            under = ", ".join(name for name, values in drawn.items() if np.any((values >= 0.0) & (values < floor)))
+            remark = f"On the lower edge, where it is 0 or below {floor:.0e}: {under}." if under else ""
+            self.charts.append(Chart(title, unit, curves, floor, remark))
 
     def _curve(self, run: str, column: str, unit: str, values: Array, name: str, *, held: bool = False) -> Curve:
         self._column(run, column, unit, values)
@@ -149,7 +162,7 @@ class Plots:
     def text(self, chart: Chart) -> str:
         """Return in words what a plot shows."""
         unit = "" if chart.unit == NO_UNIT else f" {chart.unit}"
-        axis = ", logarithmic," if chart.logarithmic else ""
+        axis = ", logarithmic," if chart.floor else ""
         said = [f"{chart.label}{axis} over time"]
         for curve in chart.curves:
             values = self.columns[curve.run][curve.column][1]
@@ -205,7 +218,7 @@ class Plots:
         charts = [
             {
                 "label": chart.label,
-                "logarithmic": chart.logarithmic,
+                "floor": chart.floor,
                 "curves": [
                     {
                         "table": runs.index(curve.run),

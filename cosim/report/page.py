@@ -65,6 +65,7 @@ def data(contents: Mapping[str, Any]) -> Markup:
     return Markup(json.dumps(contents, allow_nan=False).replace("<", "\\u003c"))
 
 
-def link(file: FilePath, page: FilePath) -> str:
-    """Return the relative address of a file for a link on a page."""
-    return quote(Path(os.path.relpath(file, Path(page).parent)).as_posix())
+def link(file: FilePath, page: FilePath) -> tuple[str, str]:
+    """Return the path of a file relative to a page's folder, and its address for a link there."""
+    relative = Path(os.path.relpath(file, Path(page).parent)).as_posix()
+    return relative, quote(relative)

@@ -188,7 +188,7 @@ def _write(
         thin=thin,
         data=data(drawn),
         files=[
-            (name, link(tables[name], path) if name in tables else "", list(plots.runs).index(name))
+            (name, *(link(tables[name], path) if name in tables else ("", "")), list(plots.runs).index(name))
             for name in plots.runs
         ],
         design=design,

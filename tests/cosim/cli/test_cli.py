@@ -365,7 +365,7 @@ def test_a_design_whose_proof_is_stretched_is_not_exported(tmp_path, design, des
 
 def test_a_run_that_fails_ends_with_code_1_and_leaves_its_rows(elsewhere):
     """A bearing so stiff that the solver's step is unstable: the state leaves the range of numbers."""
-    done = ended("run", "tilt", "--set", "plant.start.D_r=1", "-o", "failed.csv", cwd=elsewhere)
+    done = ended("run", "tilt", "--set", "plant.start.D_r=1", "-o", "failed.csv", "--report", cwd=elsewhere)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     last, result = done.stderr.strip().splitlines()[-1], Result.load(elsewhere / "failed.partial.csv")
@@ -374,6 +374,12 @@ def test_a_run_that_fails_ends_with_code_1_and_leaves_its_rows(elsewhere):
     assert 2 <= len(result.time) < 100
     assert result.metadata["complete"] is False
     assert re.search(r"\nat t = [\d.e-]+ s, voltage = -?10, ", "".join(result.metadata["messages"]["plant"]))
+    page = check_alone((elsewhere / "failed.partial.html").read_text(encoding="utf-8"))
+    assert ("b", "failed") in page.texts
+    assert last.removeprefix("error: ") in "".join(text for tag, text in page.texts if tag == "li")
+    assert "failed.partial.csv" in page.all("href")
+    done = ended("run", "tilt", "--set", "plant.start.D_r=1", "-o", "failed.csv", cwd=elsewhere)
+    assert "removed failed.partial.html, the report of an earlier run" in done.stdout + done.stderr
     assert not (elsewhere / "failed.png").exists()
 
 

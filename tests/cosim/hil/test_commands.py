@@ -96,6 +96,7 @@ def test_the_page_of_a_run_says_how_it_ended_and_its_timing(logged):
         text.partition(" (a bare")[0] for text in texts
     }
     assert page.all("href") == ["run.csv"]
+    assert not any(tag == "ul" and tags.get("class") == "notes" for tag, tags in page.tags)  # nothing to warn of
 
 
 def test_earlier_run_stays(tmp_path, hil, logged):

@@ -65,7 +65,7 @@ def test_the_plots_of_a_run_are_what_it_is_judged_by_and_all_its_signals(made_re
     assert [chart.label for chart in plots.charts] == [
         *("arm θ [rad]", "pendulum δ [rad]", "|q| [rad]", "voltage V [V]", "‖x‖_d")
     ]
-    assert [chart.logarithmic for chart in plots.charts] == [False, False, True, False, True]
+    assert [chart.floor for chart in plots.charts] == [0.0, 0.0, 1e-16, 0.0, 1e-16]
     assert {curve.column for chart in plots.others for curve in chart.curves} == set(run.signals)
     assert plots.text(plots.charts[0]) == "arm θ [rad] over time; arm θ: from 0 to -0.536 rad, between -1 and 1 rad"
     drawn, said = plots.data({"run": "run.csv"})
@@ -77,6 +77,17 @@ def test_a_plot_with_a_logarithmic_axis_needs_something_positive(made_result):
     plots = Plots({"run": made_result(TIME, controller_homogeneous_norm=0.0)})
     plots.add_judged()
     assert [chart.title for chart in plots.charts] == ["arm θ", "pendulum δ", "voltage V"]
+
+
+def test_a_plot_says_what_lies_below_its_logarithmic_axis(made_result):
+    runs = {name: made_result(TIME, controller_homogeneous_norm=1e3 * low) for name, low in (("LC", 0.5), ("IHC", 1.0))}
+    runs["IHC"].signals["controller.homogeneous_norm"][9:] = np.logspace(-3, -60, 991)
+    plots = Plots(runs)
+    plots.add_judged()
+    assert (plots.charts[-1].floor, plots.charts[-1].remark) == (
+        1e-13,
+        "On the lower edge, where it is 0 or below 1e-13: IHC.",
+    )
 
 
 def test_a_long_run_says_how_it_was_thinned(made_result):

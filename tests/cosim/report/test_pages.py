@@ -78,11 +78,12 @@ def page_of_run(tmp_path_factory):
     """The page of a run of somebody else's FMUs, whose names are scripts."""
     time = np.arange(4001) * 1e-3
     signals = {f"plant.{HOSTILE}": np.sin(time), "controller.u": np.cos(time)}
+    signals["controller.norm"] = np.where(time < 3.9, 10.0 ** (-15.0 * time), 0.0)  # down to 1e-58
     evaluation = {"errors": [{"signal": f"plant.{HOSTILE}", "unit": HOSTILE, "label": HOSTILE}]}
     evaluation["controls"] = [{"signal": "controller.u", "unit": "N"}]
     metadata = {
         "scenario": {"name": "run", "description": HOSTILE, "animation": [CART, ROD]},
-        "evaluation": evaluation,
+        "evaluation": evaluation | {"norm": "controller.norm"},
         "messages": {"plant": [HOSTILE]},
         "step": 1e-3,
     }
@@ -99,6 +100,7 @@ def test_the_page_of_a_run_is_alone_and_says_everything_as_text(page_of_run):
     assert [text for tag, text in page.texts if tag == "h1"] == [HOSTILE]
     assert [text for tag, text in page.texts if tag == "li" and HOSTILE in text] == [HOSTILE, f"plant: {HOSTILE}"]
     assert "../run.csv" in page.all("href")
+    assert "On the lower edge, where it is 0 or below 1e-16: ‖x‖_d." in [text for _, text in page.texts]
     assert [tags["aria-label"] for _, tags in page.tags if tags.get("class") == "plot"][1] == (
         "controller.u [N] over time; controller.u: from 1 to -0.654 N, between -1 and 1 N"
     )
