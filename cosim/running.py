@@ -88,6 +88,8 @@ def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None,
         For a scenario that cannot be run; nothing was run then.
     SimulationError
         Where an FMU fails; its `result` holds what was recorded until then.
+    Interrupted
+        On Ctrl-C; its `result` holds what was recorded until then.
 
     Warns
     -----
@@ -143,6 +145,8 @@ def compare(
         For a scenario that cannot be run or judged, or a law that its controller does not have.
     SimulationError
         Where an FMU fails.
+    KeyboardInterrupt
+        On Ctrl-C, as `Interrupted` where a single run is on; nothing is kept.
 
     Warns
     -----

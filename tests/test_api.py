@@ -52,7 +52,7 @@ def test_what_type_checkers_know_of_a_system_is_what_it_takes():
 
 
 def test_the_version_is_the_distributions():
-    assert ihc_fmu.__version__ == version("qube-ihc")
+    assert ihc_fmu.__version__ == cosim.__version__ == version("qube-ihc")
 
 
 def test_importing_the_packages_loads_no_library():

@@ -80,7 +80,7 @@ def test_without_draws_a_scenario_runs_once_as_it_stands(experiment, fmus, same)
 def test_metrics_are_of_every_row_whatever_the_scenario_records(experiment, fmus, compared):
     thinned = Experiment(experiment.scenario.changed({"record.every": 7}), experiment.folder, 1)
     (comparison,) = run_experiments([thinned], fmus, ("LC",), 1)
-    assert comparison.draws[0].metrics.energy == compared[0].of_law["LC"][1].metrics.energy
+    assert comparison.draws[0].metrics.energy == compared[0].draws[0].metrics.energy
     assert len(comparison.results["LC"].time) < 60
 
 
