@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Mapping
 from operator import index
+from typing import Any
 
 from fmu_export.errors import UserError, shown
 from fmu_export.variables import did_you_mean
@@ -12,7 +13,8 @@ from fmu_export.variables import did_you_mean
 def check_kind(what: str, value: object, kind: type, rule: str) -> None:
     """Raise UserError where `value` is of another class than `kind`; `rule` says what `what` must be."""
     if not isinstance(value, kind):
-        raise UserError(f"{what} must be {rule}, found {shown(value)}")
+        found = "None" if value is None else f"a {type(value).__name__}"
+        raise UserError(f"{what} must be {rule}, found {found}")
 
 
 def check_among(what: str, value: object, known: Collection[str]) -> None:
@@ -32,14 +34,15 @@ def check_whole(what: str, value: object, least: int) -> None:
         raise UserError(f"{what} must be a whole number from {least} on, found {shown(value)}")
 
 
-def as_names(what: str, given: object, kinds: tuple[type, ...] = (str,)) -> tuple:
-    """Return names as a tuple; a single one counts as a list of one. Raises UserError for what is none of `kinds`."""
-    names = (given,) if isinstance(given, (*kinds, str)) else given
-    try:
-        names = tuple(names)  # type: ignore[arg-type]
-    except TypeError:
-        names = (given,)
+def as_names(what: str, given: Any, kinds: tuple[type, ...] = (str,)) -> tuple:
+    """Return a list of names as a tuple.
+
+    Raises UserError for anything else; a single text is no list of its letters.
+    """
+    if isinstance(given, (str, Mapping, *kinds)) or not isinstance(given, Iterable):
+        raise UserError(f"{what} must be a list of texts, found {shown(given)}")
+    names = tuple(given)
     for name in names:
         if not isinstance(name, kinds):
-            raise UserError(f"{what} must be names, found {shown(name)}")
+            raise UserError(f"each of {what} must be a text, found {shown(name)}")
     return names

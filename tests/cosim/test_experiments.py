@@ -107,6 +107,23 @@ def comparison_of(*of_laws):
     return Comparison(Scenario(), tuple(draw for of_law in of_laws for draw in of_law), {})
 
 
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda found: found.value("LC", "energie"),
+            r"the metric must be one of .*, found 'energie'; did you mean energy",
+        ),
+        (lambda found: found.value("PID", "energy"), "the law must be one of LC, IHC, found 'PID'"),
+        (lambda found: found.change("IHC", "PID", "energy"), "the law must be one of LC, IHC, found 'PID'"),
+        (lambda found: found.kept(None), "the law must be one of LC, IHC, found None"),
+    ],
+)
+def test_a_law_or_metric_that_was_not_compared_is_named(call, message):
+    with pytest.raises(UserError, match=f"^{message}"):
+        call(comparison_of(draws("LC", 1.0), draws("IHC", 1.0)))
+
+
 NEVER = math.nan
 
 
