@@ -114,7 +114,7 @@ def _planned(
             IhcController,
             controller_start_values(design, nominal_set, sliding, changes["controller"]),
             controller_notes(design, nominal_set.name),
-            {DESIGN_FILE: design.to_json().encode()},
+            {DESIGN_FILE: design.to_json(derived=False).encode()},
         ),
     )
     for native, _, start, *_ in plans:

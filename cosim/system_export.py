@@ -132,7 +132,7 @@ def _planned(
     system = design.system
     plant = shown_interface(system)
     kept = kept_outputs(outputs, {"plant": plant, "controller": interface}, wires_of(system))
-    inside = {DESIGN_FILE: design.to_json().encode()}
+    inside = {DESIGN_FILE: design.to_json(derived=False).encode()}
     notes = plant_notes(system), controller_notes(design, regulator.estimator)
     plans = (
         _Plan(PLANT, LinearPlant, plant, linear_plant_values(system), changes["plant"], notes[0], {}),

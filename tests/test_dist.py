@@ -3,6 +3,7 @@
 What takes longer, the wheels of other machines among it, is tried by `make dist-check`.
 """
 
+import re
 import shutil
 import subprocess
 import sys
@@ -27,6 +28,14 @@ FEW = (
     "run tilt --set run.duration=0.1",
     "new balance",
 )
+
+
+def test_the_version_is_one():
+    version = PROJECT["project"]["version"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    (date,) = re.findall(r'^date-released: "(.+)"$', citation, re.MULTILINE)
+    assert re.findall(r"^version: (.+)$", citation, re.MULTILINE) == [version]
+    assert f"\n## {version} ({date})\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 def make_wheel(sdist, folder):

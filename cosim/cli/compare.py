@@ -39,9 +39,7 @@ def compare(
     ],
     laws: Annotated[
         str | None,
-        typer.Option(
-            help="Laws to compare, separated by commas; none: those of LC, SMC and IHC that the controller has."
-        ),
+        typer.Option(help="Laws to compare, separated by commas; none: those of this project that the controller has."),
     ] = None,
     vary: Annotated[
         str | None,

@@ -158,8 +158,14 @@ class Design(Candidate):
         factor = float(((self.u_max if index is None else self.extent[index]) / size).max())
         return replace(self, P=self.P * factor**2)
 
-    def to_json(self) -> str:
-        """Return the design with its derived numbers and certificate as JSON; floats are exact.
+    def to_json(self, *, derived: bool = True) -> str:
+        """Return the design as JSON; floats are exact.
+
+        Parameters
+        ----------
+        derived
+            With what follows from it, certificate included, for the reader: computed anew when the file is read. Its last
+            bits are the processor's, so that FMUs, which are the same on all, carry the design without.
 
         Returns
         -------
@@ -167,6 +173,12 @@ class Design(Candidate):
             The text.
         """
         given = {name: getattr(self, name) for name in _SCALARS}
+        data = {"format": FORMAT, "system": self.system.as_dict(), "P": self.P.tolist(), **given}
+        if derived:
+            data["derived"] = self._derived()
+        return json.dumps(data, indent=1) + "\n"
+
+    def _derived(self) -> dict[str, Any]:
         derived = {
             "K_0": self.form.K_0.tolist(),
             "T": self.form.T.tolist(),
@@ -176,8 +188,7 @@ class Design(Candidate):
         }
         if self.integral is not None:
             derived |= {"K_i": self.integral.K_i.tolist(), "Gamma": self.integral.Gamma.tolist()}
-        data = {"format": FORMAT, "system": self.system.as_dict(), "P": self.P.tolist(), **given, "derived": derived}
-        return json.dumps(data, indent=1) + "\n"
+        return derived
 
     def save(self, path: FilePath) -> None:
         """Write the design file, JSON, whole or not at all.

@@ -8,6 +8,7 @@ import pytest
 from cosim.errors import UserError
 from cosim.fmu_files import describe
 from cosim.start_values import as_value, not_settable
+from ihc_fmu.pendulum.interface import LAWS
 
 
 @pytest.fixture(scope="module")
@@ -38,10 +39,10 @@ def test_values_are_brought_into_their_type(variables, name, value, expected):
 @pytest.mark.parametrize(
     ("name", "value", "rule"),
     [
-        ("law", "PID", "law must be one of LC, SMC, IHC, found 'PID'"),
-        ("law", 4, "law must be one of LC, SMC, IHC, found 4"),
-        ("law", 0, "law must be one of LC, SMC, IHC, found 0"),
-        ("law", True, "law must be one of LC, SMC, IHC, found true"),
+        ("law", "PID", f"law must be one of {', '.join(LAWS)}, found 'PID'"),
+        ("law", 4, f"law must be one of {', '.join(LAWS)}, found 4"),
+        ("law", 0, f"law must be one of {', '.join(LAWS)}, found 0"),
+        ("law", True, f"law must be one of {', '.join(LAWS)}, found true"),
         ("j_max", 2.5, "j_max must be an integer of 32 bits, found 2.5"),
         ("j_max", "three", "j_max must be a number, found 'three'"),
         ("j_max", True, "j_max must be a number, found true"),

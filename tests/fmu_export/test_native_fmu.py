@@ -25,6 +25,7 @@ from fmu_export import native_fmu
 from fmu_export.native_build import BINARIES, PLATFORMS, BuildError, host_platform
 from fmu_export.native_fmu import export_native_fmu
 from fmu_export.native_unit import start_value_file, variable_table
+from ihc_fmu.pendulum.interface import LAWS
 from ihc_fmu.pendulum.paper_system import PAPER_A, PAPER_B
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.linearization import linearize
@@ -203,7 +204,7 @@ def test_changed_start_values_are_in_description_resources_sources_and_instance(
         (PLANT, {"theta": 1.0}, "no parameter or input named 'theta'"),
         (CONTROLLER, {"a_min": 2.0}, "a_min must not exceed b_max"),
         (CONTROLLER, {"theta": math.nan}, "theta must be finite"),
-        (CONTROLLER, {"law": "PID"}, "law must be one of LC, SMC, IHC"),
+        (CONTROLLER, {"law": "PID"}, f"law must be one of {', '.join(LAWS)}"),
     ],
 )
 def test_bad_start_values_are_refused_before_anything_is_written(name, changes, part, native_units, tmp_path):

@@ -17,6 +17,7 @@ import fmu_export
 from filing.origin import origin
 from fmu_export.errors import UserError
 from fmu_export.python_fmu import export_python_fmu
+from ihc_fmu.pendulum.interface import LAWS
 
 SRC = Path(fmu_export.__file__).parents[1]
 UNIT_PACKAGES = {"QubeServo2": "plant_fmu", "IhcController": "ihc_fmu"}
@@ -241,7 +242,7 @@ def test_paths_with_spaces_work(name, slaves, start, unit, host, tmp_path):
         ("QubeServo2", {"m_p": 0.0}, r"m_p must lie in \[1e-12, 1e\+12\] kg, found 0.0"),
         ("IhcController", {"a_min": 2.0, "b_max": 1.5}, "a_min must not exceed b_max, found a_min = 2"),
         ("IhcController", {"capture_angle": 1.0}, "capture_angle must not exceed fall_back_angle, found 1 and 0.8"),
-        ("IhcController", {"law": "PID"}, "law must be one of LC, SMC, IHC, found 'PID'"),
+        ("IhcController", {"law": "PID"}, f"law must be one of {', '.join(LAWS)}, found 'PID'"),
     ],
 )
 def test_refused_start_values_leave_an_earlier_file_alone(name, changes, message, slaves, start, tmp_path):

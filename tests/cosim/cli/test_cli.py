@@ -23,6 +23,7 @@ from cosim.results import Result
 from cosim.scenario import Scenario
 from cosim.scenario_run import run_scenario
 from ihc_fmu.design import Design
+from ihc_fmu.pendulum.interface import LAWS
 from ihc_fmu.sliding_mode import linear_pole_smc
 from tests.cosim.browser import Page, check_alone
 from tests.cosim.command import ended, files, finished, sentence, started
@@ -225,9 +226,9 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
         ),
         (
             ("run", "tilt", "--set", "controller.start.law=PID"),
-            "controller.law must be one of LC, SMC, IHC, found 'PID'",
+            f"controller.law must be one of {', '.join(LAWS)}, found 'PID'",
         ),
-        (("compare", "tilt", "--laws", "LC,LC"), "--laws must be different ones of LC, SMC, IHC, found 'LC,LC'"),
+        (("compare", "tilt", "--laws", "LC,LC"), f"--laws must be different ones of {', '.join(LAWS)}, found 'LC,LC'"),
         (("compare", "tilt", "swing_up"), "compare takes one scenario, or results (*.csv), found tilt, swing_up"),
         (("compare", "a.csv", "tilt"), "compare takes one scenario, or results (*.csv), found a.csv, tilt"),
         (("compare", "a.csv", "a.csv"), "results to compare must be different files, found a.csv, a.csv"),

@@ -8,7 +8,7 @@ from collections import Counter
 import pytest
 
 from fmu_export.units import base_unit
-from ihc_fmu.pendulum.interface import INTERFACE, STATES, kalman_gains, matrix, upper_triangle, vector
+from ihc_fmu.pendulum.interface import INTERFACE, LAWS, STATES, kalman_gains, matrix, upper_triangle, vector
 from ihc_fmu.pendulum.unit import IhcControllerUnit
 
 
@@ -93,7 +93,7 @@ def test_what_the_estimators_are_built_from_is_fixed_and_what_an_operator_tunes_
     [
         ({"a_min": 0.0}, r"a_min must lie in \[1e-06, 1e\+12\], found 0.0"),
         ({"mu": 1.5}, r"mu must lie in \[0, 1\], found 1.5"),
-        ({"law": "PID"}, "law must be one of LC, SMC, IHC, found 'PID'"),
+        ({"law": "PID"}, f"law must be one of {', '.join(LAWS)}, found 'PID'"),
         ({"law": 4}, r"law must lie in \[1, 3\], found 4"),
         ({"j_max": 2.5}, "j_max must be an integer of 32 bits, found 2.5"),
         ({"sample_time": 0.0}, "sample_time must lie in .* s, found 0.0"),
