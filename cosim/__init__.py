@@ -22,9 +22,11 @@ The names load their modules when they are first used.
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .comparison import Comparison
     from .errors import UserError
     from .linearize import linear_model
     from .master import simulate
@@ -35,7 +37,10 @@ if TYPE_CHECKING:
     from .scenario import Scenario, load_scenario
     from .structure import Component, Signal, SystemStructure, Wire
 
+    __version__: str
+
 __all__ = [
+    "Comparison",
     "Component",
     "Interrupted",
     "LinearModel",
@@ -47,6 +52,7 @@ __all__ = [
     "SystemStructure",
     "UserError",
     "Wire",
+    "__version__",
     "compare",
     "evaluate",
     "export",
@@ -57,6 +63,7 @@ __all__ = [
 ]
 
 _HOMES = {
+    "cosim.comparison": ("Comparison",),
     "cosim.errors": ("UserError",),
     "cosim.plant_model": ("LinearModel",),
     "cosim.linearize": ("linear_model",),
@@ -70,6 +77,8 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return version("qube-ihc")
     for module, names in _HOMES.items():
         if name in names:
             return getattr(import_module(module), name)

@@ -19,6 +19,7 @@ from filing.files import staging, write_file
 from fmu_export.errors import UserError
 from fmu_export.files import FilePath
 from fmu_export.reading import read_json
+from ihc_fmu.arguments import check_among
 
 from .draws import (
     PENDULUM,
@@ -70,7 +71,44 @@ class Comparison:
     """All draws of a scenario, and each law's full result of a typical draw, for the pictures.
 
     The typical draw is the one whose steady-state RMS is the median for the first law: the draw is the same for all laws,
-    and chosen by the law that the others are compared with.
+    and chosen by the law that the others are compared with. Means are over the draws in which the law took over once and
+    acted to the end, over all where there is none such.
+
+    Parameters
+    ----------
+    scenario
+        What was run, as it stands.
+    draws
+        One for each run: `law`, `number` of the draw (None: the scenario as it stands), `kept` (whether the law acted to
+        the end), `metrics`.
+    results
+        The whole result of the typical draw by law.
+    chance
+        What was drawn: `offsets`, names of the plant's start values, and `noise`.
+
+    Examples
+    --------
+    >>> import cosim
+    >>> tilted = {"plant.start.angle_0": 0.1, "run.duration": 8.0}
+    >>> compared = cosim.compare("fmus/arm.ssp", ["LC", "IHC"], tilted)
+    >>> settling = "settling_time[plant.angle]"
+    >>> [round(compared.value(law, settling).value, 2) for law in compared.results]
+    [2.92, 1.48]
+    >>> round(compared.change("IHC", "LC", settling).value, 2)
+    -0.49
+    >>> compared.count, compared.kept("IHC"), compared.unsettled("IHC"), compared.steady("IHC")
+    (1, 1, 0, True)
+    >>> for title, headings, rows in compared.tables():
+    ...     print(title, headings, rows[0])
+    arm: one run ['', 'LC', 'IHC'] ['settling |e angle| [s]', '2.915', '1.477']
+    arm: over LC ['', 'IHC'] ['settling |e angle|', '-49.3 %']
+    >>> compared.remarks()
+    ['nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all']
+    >>> compared.overflows(), compared.summary()["laws"]["IHC"]["steady"]
+    ([], True)
+    >>> len(compared.plot().axes), compared.report("compared.html").name
+    (6, 'compared.html')
+    >>> compared.save("compared")
     """
 
     scenario: Scenario
@@ -87,21 +125,21 @@ class Comparison:
         remarks = "".join(f"<p>{escape(remark)}</p>" for remark in self.remarks())
         return "".join(html_table(*table) for table in self.tables()) + remarks
 
-    def rows(self) -> list[list[str]]:
+    def _means(self) -> list[list[str]]:
         """Return a row for each metric with a cell for each law, and one for the draws in which the law acted to the end."""
         rows = []
         for q in (self.quantities[name] for name in self.shown):
             cells = []
-            for law in self.of_law:
+            for law in self._of_law:
                 value = self.value(law, q.name)
                 cells.append(estimate_text(value, q.text) + mark(q, self.steady(law), value.value))
             rows.append([q.heading, *cells])
-        kept = (f"{self.kept(law)} of {self.count}" for law in self.of_law)
+        kept = (f"{self.kept(law)} of {self.count}" for law in self._of_law)
         return [*rows, ["kept upright" if is_pendulum(self.quantities) else "acting to the end", *kept]]
 
-    def changes(self) -> list[list[str]]:
+    def _changes(self) -> list[list[str]]:
         """Return a row for each metric with each other law's change over the first one's."""
-        base, *others = self.of_law
+        base, *others = self._of_law
         quantities = self.quantities
         names = [name for name in self.shown if quantities[name].role != "capture"]
         return [
@@ -109,17 +147,23 @@ class Comparison:
         ]
 
     def tables(self) -> list[tuple[str, list[str], list[list[str]]]]:
-        """Return title, headings and rows of the means, and of what they say of each law against the first one."""
-        name, count, (base, *others) = self.scenario.name, self.count, self.of_law
+        """Return the means, and by how much those of each law differ from the first one's, as tables of text.
+
+        Returns
+        -------
+        list of (str, list of str, list of list of str)
+            Title, headings and rows of each table.
+        """
+        name, count, (base, *others) = self.scenario.name, self.count, self._of_law
         drawn = (
             f"means ± 95 % interval over {count} draws of the encoders' offsets (steady RMS: root mean square)"
             if count > 1
             else "one run"
         )
-        tables = [(f"{name}: {drawn}", ["", *self.of_law], self.rows())]
+        tables = [(f"{name}: {drawn}", ["", *self._of_law], self._means())]
         if others:
             drawn = ", in the same draws; ± 95 % interval" if count > 1 else ""
-            tables.append((f"{name}: over {base}{drawn}", ["", *others], self.changes()))
+            tables.append((f"{name}: over {base}{drawn}", ["", *others], self._changes()))
         return tables
 
     def plot(self) -> Picture:
@@ -167,7 +211,7 @@ class Comparison:
         """
         from .report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
 
-        base, *others = self.of_law
+        base, *others = self._of_law
         settling = sum(m.role == "settling" for m in self.quantities.values())
         roles = ("settling", "integral") if settling == 1 else ("settling",)
         verdicts = []
@@ -197,7 +241,7 @@ class Comparison:
         return [name for name, q in self.quantities.items() if q.role not in ("trend", "captures")]
 
     @cached_property
-    def of_law(self) -> dict[str, dict[int | None, Draw]]:
+    def _of_law(self) -> dict[str, dict[int | None, Draw]]:
         """The draws by law and number."""
         by_law: dict[str, dict[int | None, Draw]] = {}
         for draw in self.draws:
@@ -207,33 +251,88 @@ class Comparison:
     @property
     def count(self) -> int:
         """Number of draws of each law."""
-        return len(self.draws) // len(self.of_law)
+        return len(self.draws) // len(self._of_law)
 
-    def counted(self, law: str) -> list[Draw]:
+    def _counted(self, law: str) -> list[Draw]:
         """Return the draws that the means are over: those in which the law acted to the end, all if in none."""
-        draws = list(self.of_law[law].values())
+        draws = self._draws_of(law)
         return [d for d in draws if d.kept] or draws
 
-    def kept(self, law: str) -> int:
-        """Return in how many draws the law took over once and acted to the end."""
-        return sum(d.kept for d in self.of_law[law].values())
+    def _draws_of(self, law: str) -> list[Draw]:
+        check_among("law", law, self._of_law)
+        return list(self._of_law[law].values())
 
-    def never(self, law: str, name: str) -> int:
+    def kept(self, law: str) -> int:
+        """Return in how many draws the law took over once and acted to the end.
+
+        Parameters
+        ----------
+        law
+            One of those compared.
+
+        Returns
+        -------
+        int
+            At most `count`.
+
+        Raises
+        ------
+        UserError
+            For another law.
+        """
+        return sum(d.kept for d in self._draws_of(law))
+
+    def _never(self, law: str, name: str) -> int:
         """Return how many of the counted draws do not have the metric: a time of settling, for one."""
-        return sum(math.isnan(d.metrics.values[name]) for d in self.counted(law))
+        return sum(math.isnan(d.metrics.values[name]) for d in self._counted(law))
 
     def steady(self, law: str) -> bool:
-        """Return whether the window at the end is a steady state, in at least three quarters of the counted draws."""
-        draws = self.counted(law)
+        """Return whether the window at the end is a steady state, in at least three quarters of the counted draws.
+
+        Parameters
+        ----------
+        law
+            One of those compared.
+
+        Returns
+        -------
+        bool
+            Whether the numbers over that window mean something.
+
+        Raises
+        ------
+        UserError
+            For another law.
+        """
+        draws = self._counted(law)
         return sum(not d.metrics.steady for d in draws) <= UNSTEADY * len(draws)
 
     def value(self, law: str, name: str) -> MeanEstimate:
         """Return a metric's mean (of steady_rms, the root mean square) over the counted draws, with its interval.
 
-        A draw that never settles or captures counts the run's duration. NaN where all do, or one has no number.
+        A draw that never settles or captures counts the run's duration.
+
+        Parameters
+        ----------
+        law
+            One of those compared.
+        name
+            A metric's name, one of `quantities`.
+
+        Returns
+        -------
+        MeanEstimate
+            `value` and `half_width` of the 95 % interval, in the metric's unit; `half_width` is NaN for one draw, `value`
+            where no draw ever settles or captures, or one has no number.
+
+        Raises
+        ------
+        UserError
+            For another law or metric.
         """
-        draws = self.counted(law)
-        if self.never(law, name) == len(draws):
+        check_among("metric", name, self.quantities)
+        draws = self._counted(law)
+        if self._never(law, name) == len(draws):
             return MeanEstimate(math.nan)
         values = np.array([self._number(d, name) for d in draws])
         return root_mean_square(values) if self.quantities[name].over_draws == "rms" else mean(values)
@@ -241,12 +340,29 @@ class Comparison:
     def change(self, law: str, base: str, name: str) -> MeanEstimate:
         """Return by which part the metric's mean with `law` lies above that with `base`, over the draws that both count.
 
-        NaN where there is no such draw, one of them has no value at all, or no steady state to compare: none, or zero.
+        Parameters
+        ----------
+        law, base
+            Two of those compared.
+        name
+            A metric's name, one of `quantities`.
+
+        Returns
+        -------
+        MeanEstimate
+            `value` and `half_width` of the 95 % interval, -0.5 for half of the mean with `base`. NaN where there is no such
+            draw, one law has no value at all, or there is no steady state to compare: none, or zero.
+
+        Raises
+        ------
+        UserError
+            For another law or metric.
         """
+        check_among("metric", name, self.quantities)
         quantity = self.quantities[name]
-        numbers = [{d.number: self._number(d, name) for d in self.counted(one)} for one in (law, base)]
+        numbers = [{d.number: self._number(d, name) for d in self._counted(one)} for one in (law, base)]
         both = [n for n in numbers[0] if n in numbers[1]]
-        none = any(self.never(one, name) == len(self.counted(one)) for one in (law, base))
+        none = any(self._never(one, name) == len(self._counted(one)) for one in (law, base))
         if none or (quantity.of_window and not (self.steady(law) and self.steady(base))):
             return MeanEstimate(math.nan)
         values, bases = (np.array([of[n] for n in both]) for of in numbers)
@@ -259,14 +375,36 @@ class Comparison:
         return self.scenario.run.duration if math.isnan(value) and self.quantities[name].never else value
 
     def unsettled(self, law: str) -> int:
-        """Return in how many of the counted draws something never settled."""
+        """Return in how many of the counted draws something never settled.
+
+        Parameters
+        ----------
+        law
+            One of those compared.
+
+        Returns
+        -------
+        int
+            Their number.
+
+        Raises
+        ------
+        UserError
+            For another law.
+        """
         names = [q.name for q in self.quantities.values() if q.role == "settling"]
-        return sum(any(math.isnan(d.metrics.values[name]) for name in names) for d in self.counted(law))
+        return sum(any(math.isnan(d.metrics.values[name]) for name in names) for d in self._counted(law))
 
     def remarks(self) -> list[str]:
-        """Return what has to be known to read the means."""
+        """Return what has to be known to read the means.
+
+        Returns
+        -------
+        list of str
+            A sentence each.
+        """
         said = []
-        laws = list(self.of_law)
+        laws = list(self._of_law)
         lost = {law: self.count - self.kept(law) for law in laws}
         if any(lost.values()):
             several = ", ".join(f"{law} {n}" for law, n in lost.items())
@@ -290,7 +428,13 @@ class Comparison:
         return said
 
     def overflows(self) -> list[str]:
-        """Return in a sentence for each law whose typical draw leaves the range of numbers what does so first."""
+        """Return what leaves the range of numbers first, for each law in whose typical draw something does.
+
+        Returns
+        -------
+        list of str
+            A sentence each; `remarks` has them too.
+        """
         return [f"{law}: {text}" for law, result in self.results.items() for text in overflow(result)]
 
     @property
@@ -302,6 +446,18 @@ class Comparison:
 
         The last has the means, and under `files` the SHA-256 of each of the others. They reach `folder` together, and
         what an earlier comparison has left there and this one does not replace is removed.
+
+        Parameters
+        ----------
+        folder
+            Where the files go; it is made where it is missing.
+        pictures
+            Is called with the folder to write further files to; None: there are none.
+
+        Raises
+        ------
+        UserError
+            Where they cannot be written.
         """
         folder = Path(folder)
         earlier = _files_of(folder / CONTENTS)
@@ -329,10 +485,16 @@ class Comparison:
         write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
 
     def summary(self) -> dict[str, Any]:
-        """Return the means, their intervals and the changes from the first law on, safe for JSON."""
-        base, *others = self.of_law
+        """Return the means, their intervals and the changes from the first law on, safe for JSON.
+
+        Returns
+        -------
+        dict
+            What comparison.json holds besides `files`.
+        """
+        base, *others = self._of_law
         laws: dict[str, Any] = {}
-        for law in self.of_law:
+        for law in self._of_law:
             laws[law] = {name: _pair(self.value(law, name)) for name in self.shown}
             laws[law] |= {"kept": self.kept(law), "steady": self.steady(law)}
             laws[law]["never_settled"] = self.unsettled(law)

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from fmu_export.files import FilePath
+from ihc_fmu.arguments import as_names
 
 from .derivative_checks import largest
 from .derivatives import EvaluationError, finite, least_steps, solve
@@ -97,10 +98,18 @@ def linear_model(
     >>> model.A.round(6).tolist()
     [[0.0, 1.0], [4.0, 0.0]]
     """
-    plant = open_plant(Path(path), tuple(inputs), tuple(outputs), tuple(states), dict(start or {}), step)
+    free = as_names("free", free)
+    plant = open_plant(
+        Path(path),
+        as_names("inputs", inputs),
+        as_names("outputs", outputs),
+        as_names("states", states),
+        dict(start or {}),
+        step,
+    )
     quiet = np.errstate(all="ignore")  # numbers beyond the range end in a refusal
     with closing(plant), deferred_interrupt() as plant.interrupt, quiet:
-        z, movable, fixed = _beginning(plant, dict(at or {}), tuple(free))
+        z, movable, fixed = _beginning(plant, dict(at or {}), free)
         try:
             z, notes = _equilibrium(plant, z, movable, fixed)
             model = finite_model(plant.linear(z, notes))

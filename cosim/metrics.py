@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ihc_fmu.arguments import check_kind
 from ihc_fmu.arrays import QUIET
 
 from .errors import UserError
@@ -193,6 +194,7 @@ def evaluate(result: Recording, tolerance: float | None = None, steady: float = 
     >>> print(f"{metrics.values['settling_time[plant.angle]']:.2f} s")
     1.48 s
     """
+    check_kind("result", result, Recording, "a Result")
     if len(result.time) < 2:
         raise UserError(f"metrics need at least two rows, found {len(result.time)}")
     evaluation = evaluation_in(result)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from . import certified, model_match, pendulum
 from .evaluation import TRUE
 from .fmu_files import describe, start_values_of
+from .integration import opened
 from .judged_signals import at_rest, overflow
 from .plant_variables import START
 from .results import Result
@@ -20,8 +23,11 @@ def remarks_before(system: SystemStructure, scenario: Scenario) -> list[str]:
     """Return what is to be known of a scenario's system before it runs.
 
     Of its controller on its plant, although they fit, see `model_match`, unless it may be of another model; of controls
-    that act on nothing; of start values that no certificate covers.
+    that act on nothing; of start values that no certificate covers. Raises UserError for start values that a run would
+    refuse: with them nothing is to be known.
     """
+    for component in system.components:
+        opened(component.name, Path(component.path), component.interface).checked_start(component.start)
     said = [] if scenario.controller.other_model else model_match.remarks(system)
     said = [*said, *_loose_controls(system)]
     for component in system.components:

@@ -22,6 +22,7 @@ from pydantic_core import to_json
 from filing.files import write_files
 from fmu_export.files import FilePath, uninterrupted
 from fmu_export.reading import parse_json, read_bytes, read_text
+from ihc_fmu.arguments import as_names
 
 from .errors import UserError
 from .provenance import provenance
@@ -99,6 +100,7 @@ class Result(Recording):
         from .judged_signals import can_draw, can_evaluate  # noqa: PLC0415 - heavy
         from .plots import overview, panels_of  # noqa: PLC0415
 
+        as_names("signals", names)
         if not len(self.time) or not self.signals:
             raise UserError("a plot needs at least one row and one signal")
         if not names and can_evaluate(self) and can_draw(self):

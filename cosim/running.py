@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fmu_export.files import FilePath
+from ihc_fmu.arguments import as_names, check_kind, check_whole
 
 from .remarks import remarks_after, remarks_before, rest_remarks
 from .scenario import Scenario, load_located
@@ -60,8 +61,11 @@ def export(
     >>> [path.name for path in cosim.export(ihc_fmu.synthesize(arm), "exported")]
     ['arm_linear_plant.fmu', 'arm_controller.fmu', 'arm.ssp']
     """
-    from .design_export import export_design  # noqa: PLC0415 - heavy
+    from ihc_fmu.design import Design  # noqa: PLC0415 - heavy
 
+    from .design_export import export_design  # noqa: PLC0415
+
+    check_kind("design", design, Design, "a Design")
     return export_design(design, folder, changes)
 
 
@@ -88,6 +92,8 @@ def run(scenario: FilePath | Scenario, changes: Mapping[str, Any] | None = None,
         For a scenario that cannot be run; nothing was run then.
     SimulationError
         Where an FMU fails; its `result` holds what was recorded until then.
+    Interrupted
+        On Ctrl-C; its `result` holds what was recorded until then.
 
     Warns
     -----
@@ -143,6 +149,8 @@ def compare(
         For a scenario that cannot be run or judged, or a law that its controller does not have.
     SimulationError
         Where an FMU fails.
+    KeyboardInterrupt
+        On Ctrl-C, as `Interrupted` where a single run is on; nothing is kept.
 
     Warns
     -----
@@ -158,6 +166,11 @@ def compare(
     """
     from .experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
 
+    check_whole("draws", draws, 0)
+    if workers is not None:
+        check_whole("workers", workers, 1)
+    if laws is not None:
+        laws = as_names("laws", laws)
     located, folder, place = _located(scenario, changes, fmus)
     if laws is None:
         laws = [law for law in laws_of(located, place, folder) if law in LAWS]

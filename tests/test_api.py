@@ -52,7 +52,7 @@ def test_what_type_checkers_know_of_a_system_is_what_it_takes():
 
 
 def test_the_version_is_the_distributions():
-    assert ihc_fmu.__version__ == version("qube-ihc")
+    assert ihc_fmu.__version__ == cosim.__version__ == version("qube-ihc")
 
 
 def test_importing_the_packages_loads_no_library():
@@ -73,6 +73,30 @@ def test_from_a_linear_controller_to_a_picture(tmp_path, monkeypatch):
     np.testing.assert_array_equal(comparison.results["IHC"]["plant.x1"], result["plant.x1"])
 
 
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: ihc_fmu.synthesize(None), "system must be a System, found None"),  # type: ignore[arg-type]
+        (lambda: ihc_fmu.inverse_design(A), "system must be a System, found a list"),  # type: ignore[arg-type]
+        (lambda: ihc_fmu.direct_design(None), "system must be a System, found None"),  # type: ignore[arg-type]
+        (lambda: ihc_fmu.largest_alpha(None), "system must be a System, found None"),  # type: ignore[arg-type]
+        (lambda: cosim.export(None), "design must be a Design, found None"),  # type: ignore[arg-type]
+        (lambda: cosim.evaluate(None), "result must be a Result, found None"),  # type: ignore[arg-type]
+        (lambda: cosim.linear_model("x.fmu", inputs="u1"), "inputs must be a list of texts, found 'u1'"),
+        (lambda: cosim.linear_model("x.fmu", free="u1"), "free must be a list of texts, found 'u1'"),
+        (lambda: cosim.compare("x.ssp", laws="LC"), "laws must be a list of texts, found 'LC'"),
+        (lambda: cosim.compare("x.ssp", draws=-1), "draws must be a whole number from 0 on, found -1"),
+        (lambda: cosim.compare("x.ssp", draws=1.5), "draws must be a whole number from 0 on, found 1.5"),  # type: ignore[arg-type]
+        (lambda: cosim.compare("x.ssp", draws=True), "draws must be a whole number from 0 on, found true"),
+        (lambda: cosim.compare("x.ssp", workers=0), "workers must be a whole number from 1 on, found 0"),
+    ],
+)
+def test_an_argument_of_another_kind_is_refused_in_a_sentence(call, message):
+    with pytest.raises(ihc_fmu.UserError) as refusal:
+        call()
+    assert str(refusal.value) == message
+
+
 def test_what_is_to_be_known_of_a_run_is_a_warning(tmp_path):
     def warned(call, match, **changes):
         with pytest.warns(UserWarning, match=match) as caught:
@@ -88,3 +112,6 @@ def test_what_is_to_be_known_of_a_run_is_a_warning(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         cosim.run(tmp_path / "arm.ssp", {"run.duration": 0.1, "plant.start.x1_0": 0.1})
+        for call in (cosim.run, cosim.compare):
+            with pytest.raises(cosim.UserError, match="plant has no variable named 'y1_0'; did you mean"):
+                call(tmp_path / "arm.ssp", changes={"plant.start.y1_0": 0.1})

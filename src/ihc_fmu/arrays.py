@@ -18,15 +18,22 @@ LARGEST = 1e300
 
 def matrix(name: str, value: object, *, flat: bool = False) -> Array:
     """Return a matrix of finite numbers; with `flat` a list of numbers stays one. Raises UserError that names it."""
-    try:
-        M = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        raise UserError(f"{name} must be rows of numbers, all of one length, found {shown(value)}") from None
+    M = reals(name, value, "rows of numbers, all of one length")
     if M.ndim != 2 and not (flat and M.ndim == 1):
         raise UserError(f"{name} must be rows of numbers, all of one length, found shape {M.shape}")
     if not (np.abs(M) < LARGEST).all():
         raise UserError(f"{name} must be finite, found {M[~(np.abs(M) < LARGEST)].flat[0]}")
     return M
+
+
+def reals(name: str, value: Any, rule: str) -> Array:
+    """Return a new array of real numbers; raise UserError that names it and the rule for anything else."""
+    try:
+        if not np.iscomplexobj(value):
+            return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise UserError(f"{name} must be {rule}, found {shown(value)}") from None
+    raise UserError(f"{name} must be real, found complex numbers, {shown(value)}")
 
 
 def size(rows: int, columns: int) -> str:

@@ -13,6 +13,7 @@ from scipy.optimize import brentq
 
 from fmu_export.errors import UserError
 
+from .arguments import check_kind
 from .arrays import QUIET, Array
 from .closed_loop import problem_of
 from .design import Design
@@ -71,6 +72,7 @@ def direct_design(system: System, options: Options | None = None) -> Design:
     >>> design.K.round(2).tolist(), design.u_max.round(3).tolist()
     ([[-4.59, -3.0]], [3.0])
     """
+    check_kind("system", system, System, "a System")
     options = options or Options()
     bounds = options.bounds(system.m)
     if bounds is None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from .arguments import check_kind
 from .arrays import QUIET
 from .closed_loop import check_gain, closed_loop
 from .design import Design
@@ -62,6 +63,7 @@ def inverse_design(
     >>> design.u_max.round(3).tolist(), design.K.tolist()
     ([3.0], [[-4.0, -4.0]])
     """
+    check_kind("system", system, System, "a System")
     options = options or Options()
     options.bounds(system.m)
     check_gain(system)

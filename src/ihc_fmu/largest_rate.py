@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .arguments import check_kind
 from .arrays import QUIET
 from .closed_loop import check_gain, closed_loop
 from .design import Design
@@ -58,6 +59,7 @@ def largest_alpha(
     >>> [round(largest_alpha(cart, mu, 1e-3), 2) for mu in (1.0, 0.5)]
     [0.59, 0.85]
     """
+    check_kind("system", system, System, "a System")
     return fastest(system, mu, tolerance, say, beta)[0]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from fmu_export.errors import UserError, counted
 
+from .arrays import reals
 from .candidate import check_scalars
 
 Array = np.ndarray
@@ -70,7 +71,7 @@ class Options:
         check_scalars(self.mu, self.alpha, self.psi, self.d_max)
         if self.u_max is None and self.delta_max is None:
             raise UserError("the scale of P needs a rule: u_max, delta_max or both")
-        bounds = [] if self.u_max is None else np.atleast_1d(np.asarray(self.u_max, dtype=float)).tolist()
+        bounds = [] if self.u_max is None else self._given_bounds().tolist()
         sizes = [
             *(("u_max", value) for value in bounds),
             *([] if self.delta_max is None else [("delta_max", self.delta_max)]),
@@ -99,9 +100,12 @@ class Options:
         """
         if self.u_max is None:
             return None
-        bounds = np.atleast_1d(np.asarray(self.u_max, dtype=float))
+        bounds = self._given_bounds()
         if bounds.shape not in ((1,), (m,)):
             raise UserError(
                 f"u_max must be a number, or one for each input, found {len(bounds)} for {counted(m, 'input')}"
             )
         return np.broadcast_to(bounds, (m,))
+
+    def _given_bounds(self) -> Array:
+        return np.atleast_1d(reals("u_max", self.u_max, "a number, or one for each input"))

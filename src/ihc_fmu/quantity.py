@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from fmu_export.errors import UserError, counted, shown
 from fmu_export.variables import did_you_mean
 
+from .arrays import reals
+
 Array = np.ndarray
 
 LONGEST_NAME = 100
@@ -94,11 +96,10 @@ def check_unique(names: Sequence[str], kind: str) -> None:
 def vector(what: str, values: ArrayLike, quantities: Sequence[Quantity]) -> Array:
     """Return a number for each quantity as an array; raise UserError that calls them `what` for another length."""
     names = [q.name for q in quantities]
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        numbers = None
-    if numbers is None or numbers.shape != (len(names),):
-        seen = shown(values) if numbers is None or numbers.ndim == 0 else f"shape {numbers.shape}"
-        raise UserError(f"{what} must be {counted(len(names), 'number')}, {', '.join(names)}, found {seen}")
+    rule = f"{counted(len(names), 'number')}, {', '.join(names)}"
+    numbers = reals(what, values, rule)
+    if numbers.shape != (len(names),):
+        raise UserError(
+            f"{what} must be {rule}, found {shown(values) if numbers.ndim == 0 else f'shape {numbers.shape}'}"
+        )
     return numbers

@@ -11,7 +11,7 @@ from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lya
 
 from fmu_export.errors import UserError, counted, shown
 
-from .arrays import QUIET, Array
+from .arrays import QUIET, Array, reals
 from .block_form import block_form, scaling
 
 STEPS = 100
@@ -58,7 +58,7 @@ def _checked(Q: ArrayLike, R: ArrayLike, n: int, m: int) -> tuple[Array, Array]:
 
 
 def _weight(name: str, value: ArrayLike, size: int) -> Array:
-    W = np.asarray(value, dtype=float)
+    W = reals(f"lqr.{name}", value, "rows of numbers or a list of them")
     W = np.diag(W) if W.ndim == 1 else W
     if W.shape != (size, size) or not np.isfinite(W).all() or np.abs(W - W.T).max() > 1e-9 * np.abs(W).max():
         raise UserError(

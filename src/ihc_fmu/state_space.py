@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from fmu_export.errors import UserError
 
-from .arrays import Array
+from .arrays import Array, reals
 
 GAIN_CONVENTIONS = ("u = K x", "u = -K x")
 """How a gain may be meant."""
@@ -26,7 +26,7 @@ def fields_of_model(model: Any, K: ArrayLike | None, law: str | None) -> dict[st
     if getattr(model, "dt", None) not in (None, 0):
         raise UserError(f"the model must be in continuous time, found dt = {model.dt}")
     _check_no_feedthrough(model)
-    C = np.asarray(model.C, dtype=float)
+    C = reals("C", model.C, "rows of numbers")
     given: dict[str, Any] = {"A": np.asarray(model.A), "B": np.asarray(model.B), "K": _gain(K, law)}
     if C.shape != np.shape(model.A) or not np.array_equal(C, np.eye(len(C))):
         given["C"] = C
@@ -37,7 +37,7 @@ def fields_of_model(model: Any, K: ArrayLike | None, law: str | None) -> dict[st
 
 
 def _check_no_feedthrough(model: Any) -> None:
-    D = np.asarray(model.D, dtype=float)
+    D = reals("D", model.D, "rows of numbers")
     for i, j in np.argwhere(D)[:1]:
         inputs, outputs = (getattr(model, LABELS[kind], None) for kind in ("inputs", "outputs"))
         u, y = inputs[j] if inputs else f"u{j + 1}", outputs[i] if outputs else f"y{i + 1}"
@@ -55,4 +55,5 @@ def _gain(K: ArrayLike | None, law: str | None) -> Array | None:
         law = GAIN_CONVENTIONS[0]
     if law not in GAIN_CONVENTIONS:
         raise UserError(f"law must say how K is meant, {' or '.join(map(repr, GAIN_CONVENTIONS))}, found {law!r}")
-    return np.asarray(K, dtype=float) if law == GAIN_CONVENTIONS[0] else -np.asarray(K, dtype=float)
+    gain = reals("K", K, "rows of numbers")
+    return gain if law == GAIN_CONVENTIONS[0] else -gain

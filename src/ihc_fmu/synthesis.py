@@ -10,6 +10,7 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
+from .arguments import check_kind
 from .arrays import QUIET
 from .design import Design
 from .integral import check_degree, largest_mu
@@ -104,6 +105,7 @@ def chosen_options(
     mu = 1: rejects disturbances
     u_max = 5: the homogeneous part of the control on the unit ball; half of the room within the limits
     """
+    check_kind("system", system, System, "a System")
     reasons, of_bounds, start = [], [], None
     if mu is not None and system.integral is not None:
         check_degree(mu)

@@ -18,6 +18,7 @@ from filing.origin import WRITTEN
 from fmu_export.errors import UserError, shown
 from fmu_export.variables import did_you_mean
 
+from .arguments import as_names
 from .arrays import Array, are_numbers, check_numbers, check_weights, is_row, matrix
 from .observer_wish import ObserverWish
 from .system_rules import DIRECT, EQUILIBRIUM
@@ -108,12 +109,6 @@ def _read_text(name: str, value: object) -> str:
     return value
 
 
-def _read_texts(name: str, value: object) -> tuple[str, ...]:
-    if not isinstance(value, list):
-        raise UserError(f"{name} must be a list of texts, found {shown(value)}")
-    return tuple(_read_text(f"each of {name}", entry) for entry in value)
-
-
 def _read_rows(name: str, value: Any) -> Any:
     return check_numbers(name, value, 2)
 
@@ -167,7 +162,7 @@ _READERS: dict[str, Callable[[str, Any], Any]] = {
     "integral": _read_integral,
     "observer": lambda _, value: ObserverWish.from_table(value),
     **dict.fromkeys(VECTORS, partial(check_numbers, levels=1)),
-    **dict.fromkeys(TEXTS, _read_texts),
+    **dict.fromkeys(TEXTS, as_names),
     **dict.fromkeys(("sample_time", "bandwidth"), _read_number),
 }
 """How the entries of a file become fields of the same names, or those of ALIASES."""

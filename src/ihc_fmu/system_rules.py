@@ -10,7 +10,8 @@ import numpy as np
 
 from fmu_export.errors import UserError, counted, shown
 
-from .arrays import LARGEST, Array, matrix, size
+from .arguments import as_names
+from .arrays import LARGEST, Array, matrix, reals, size
 from .observer_wish import ObserverWish
 from .quantity import LONGEST_NAME, Quantity, check_unique, index_of
 
@@ -75,7 +76,7 @@ def _names(s: Mapping[str, Any]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     counts = (len(s["A"]), s["B"].shape[1], len(s["C"]))
     for kind, letter, count in zip(("states", "inputs", "outputs"), "xuy", counts, strict=True):
-        given = s[kind] or [f"{letter}{i}" for i in range(1, count + 1)]
+        given = as_names(kind, s[kind], (str, Quantity)) or [f"{letter}{i}" for i in range(1, count + 1)]
         values[kind] = tuple(q if isinstance(q, Quantity) else Quantity.parse(q, f"each of {kind}") for q in given)
         if len(values[kind]) != count:
             raise UserError(f"{kind} must be {counted(count, 'name')} to fit the matrices, found {len(values[kind])}")
@@ -87,7 +88,7 @@ def _names(s: Mapping[str, Any]) -> dict[str, Any]:
     if both:
         raise UserError(f"inputs must have other names than states and outputs, found {shown(min(both))} twice")
     for kind in ("set_points", "biases"):
-        values[kind] = tuple(s[kind])
+        values[kind] = as_names(kind, s[kind])
         check_unique(values[kind], kind)
         for name in values[kind]:
             index_of(name, values["outputs"], kind, "outputs")
@@ -109,7 +110,9 @@ def _vectors(s: Mapping[str, Any]) -> dict[str, Array]:
         given = s[name]
         if name == "y_eq" and s["measures_state"]:
             given = _measured_equilibrium(given, values["x_eq"])
-        value = np.full(count, default) if given is None else np.array(given, dtype=float)
+        value = (
+            np.full(count, default) if given is None else reals(IN_FILES.get(name, name), given, "a list of numbers")
+        )
         if value.shape != (count,):
             length = len(value) if value.ndim == 1 else f"shape {value.shape}"
             raise UserError(f"{IN_FILES.get(name, name)} must be as many as {of}s, {count}, found {length}")
@@ -132,7 +135,7 @@ def _vectors(s: Mapping[str, Any]) -> dict[str, Array]:
 
 def _measured_equilibrium(y_eq: object, x_eq: Array) -> Array:
     """Return y_eq of measured states, which is x_eq."""
-    if y_eq is not None and not np.array_equal(np.asarray(y_eq, dtype=float), x_eq):
+    if y_eq is not None and not np.array_equal(reals("equilibrium.outputs", y_eq, "a list of numbers"), x_eq):
         raise UserError(
             "equilibrium.outputs must be left out without C, as the outputs are the states, found "
             f"{shown(np.asarray(y_eq).tolist())}"

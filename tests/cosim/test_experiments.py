@@ -80,7 +80,7 @@ def test_without_draws_a_scenario_runs_once_as_it_stands(experiment, fmus, same)
 def test_metrics_are_of_every_row_whatever_the_scenario_records(experiment, fmus, compared):
     thinned = Experiment(experiment.scenario.changed({"record.every": 7}), experiment.folder, 1)
     (comparison,) = run_experiments([thinned], fmus, ("LC",), 1)
-    assert comparison.draws[0].metrics.energy == compared[0].of_law["LC"][1].metrics.energy
+    assert comparison.draws[0].metrics.energy == compared[0].draws[0].metrics.energy
     assert len(comparison.results["LC"].time) < 60
 
 
@@ -105,6 +105,23 @@ def draws(law, *settling, kept=(), rms=0.1, steady=1.0):
 
 def comparison_of(*of_laws):
     return Comparison(Scenario(), tuple(draw for of_law in of_laws for draw in of_law), {})
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda found: found.value("LC", "energie"),
+            r"the metric must be one of .*, found 'energie'; did you mean energy",
+        ),
+        (lambda found: found.value("PID", "energy"), "the law must be one of LC, IHC, found 'PID'"),
+        (lambda found: found.change("IHC", "PID", "energy"), "the law must be one of LC, IHC, found 'PID'"),
+        (lambda found: found.kept(None), "the law must be one of LC, IHC, found None"),
+    ],
+)
+def test_a_law_or_metric_that_was_not_compared_is_named(call, message):
+    with pytest.raises(UserError, match=f"^{message}"):
+        call(comparison_of(draws("LC", 1.0), draws("IHC", 1.0)))
 
 
 NEVER = math.nan

@@ -286,5 +286,7 @@ def test_a_plot_shows_what_is_asked_for(made_result):
     assert picture._repr_png_()[1:4] == b"PNG"  # what a notebook asks for that has not imported pyplot
     with pytest.raises(UserError, match=r"no signal 'tank\.t'"):
         other.plot("tank.t")
+    with pytest.raises(UserError, match=r"^each of signals must be a text, found \['tank\.T'\]$"):
+        other.plot(["tank.T"])  # type: ignore[arg-type]
     with pytest.raises(UserError, match="at least one row and one signal"):
         Result(np.zeros(0), {}, {}, {}).plot()

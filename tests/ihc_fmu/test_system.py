@@ -116,6 +116,25 @@ def test_every_rule_is_told_in_one_sentence(changes, message):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"A": np.array(A) + 1j}, "A must be real, found complex numbers, [["),
+        ({"K": [[1j, 2.0]]}, "K must be real, found complex numbers, [[1j, 2.0]]"),
+        ({"lower": np.array([1j])}, "limits must be real, found complex numbers, [1j]"),
+        ({"upper": "x"}, "limits must be a list of numbers, found 'x'"),
+        ({"states": "ab"}, "states must be a list of texts, found 'ab'"),
+        ({"inputs": Quantity("force", "N")}, "inputs must be a list of texts, found Quantity(name='force', unit='N')"),
+        ({"set_points": "x1"}, "set_points must be a list of texts, found 'x1'"),
+        ({"states": ["a", 1]}, "each of states must be a text, found 1"),
+    ],
+)  # fmt: skip
+def test_what_only_python_can_give_is_refused_in_one_sentence(changes, message):
+    with pytest.raises(UserError) as refusal:
+        System(**{**TWO, **changes})
+    assert str(refusal.value).startswith(message)
+
+
 @pytest.mark.parametrize("data", [None, [], "A", 3])
 def test_what_is_no_table_is_refused(data):
     with pytest.raises(UserError, match="a system must be a table of entries, found"):

@@ -52,7 +52,7 @@ def test_a_comparison_shows_every_number_at_every_width(shown, width):
     comparison = Comparison(Scenario(), draws, {})
     text = shown(width, print_comparison, comparison)
     assert max(map(len, text.splitlines())) <= width
-    rows = [*comparison.rows(), *comparison.changes()]
+    rows = [row for _, _, rows in comparison.tables() for row in rows]
     assert {cell for row in rows for cell in row} <= cells_of(text)
     assert len(rows) == 2 * len(comparison.shown)
     assert ("settling [s]\n  LC" in text) == (width <= 60)
