@@ -116,6 +116,9 @@ class Comparison:
     results: dict[str, Result]
     chance: Chance = PENDULUM
 
+    def __repr__(self) -> str:
+        return f"<Comparison: {self.scenario.name}, {', '.join(self.results)}, runs of each: {self.count}>"
+
     def _repr_html_(self) -> str:
         """Return what `compare` prints as tables, for notebooks."""
         from html import escape  # noqa: PLC0415

@@ -107,6 +107,10 @@ class Result(Recording):
             return overview(self)
         return panels_of({"": self}, names or tuple(self.signals))
 
+    def __repr__(self) -> str:
+        end = f" until {self.time[-1]:g} s" if len(self.time) else ""
+        return f"<Result: {len(self.time)} rows{end} of {', '.join(self.signals)}>"
+
     def _repr_html_(self) -> str:
         """Return the metrics as a table, or without them the signals, for notebooks."""
         from ihc_fmu.html import html_table  # noqa: PLC0415

@@ -109,6 +109,10 @@ class Controller:
         """The variables of the controller's FMU."""
         return self._showing.interface
 
+    def __repr__(self) -> str:
+        told = ", ".join(f"{name} = {self.values[name]}" for name in ("sample_time", "a_min", "b_max"))
+        return f"<Controller: {self.design.system.name}, {told}, {self.mode} after {self.samples} samples>"
+
     def __call__(self, y: ArrayLike) -> Array:
         """Return the plant's inputs u (m,) for its measured outputs y (p,), held for one sample time.
 

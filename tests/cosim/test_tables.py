@@ -67,6 +67,7 @@ def test_a_result_is_its_metrics_in_a_notebook(made_result):
     assert ["steady RMS |q|", "0.01 rad"] in judged
     other = Result(np.arange(3.0), {"a.y": np.zeros(3)}, {"a.y": "m"}, {})
     assert cells(other._repr_html_()) == [["signal", "unit"], ["a.y", "m"]]
+    assert repr(other) == "<Result: 3 rows until 2 s of a.y>"
 
 
 def test_a_comparison_is_its_tables_in_a_notebook():
@@ -76,3 +77,5 @@ def test_a_comparison_is_its_tables_in_a_notebook():
     found = cells(comparison._repr_html_())
     assert all(row in found for _, _, rows in comparison.tables() for row in rows)
     assert ["∫V² dt", "equal"] in found
+    drawn = Comparison(Scenario(), comparison.draws, {law: Result(np.arange(1.0), {}, {}, {}) for law in ("LC", "IHC")})
+    assert repr(drawn) == "<Comparison: scenario, LC, IHC, runs of each: 1>"

@@ -147,3 +147,11 @@ def test_what_cannot_be_set_during_a_run_is_refused_and_changes_nothing(arm):
         with pytest.raises(UserError, match=message):
             controller.set(**changes)
     assert (controller.values["elbow_setpoint"], controller.values["a_min"]) == (0.5, 0.5)
+
+
+def test_it_says_what_it_is(arm):
+    controller = Controller(arm, a_min=0.25)
+    told = f"{SYSTEM.name}, sample_time = 0.001, a_min = 0.25, b_max = 1.0"
+    assert repr(controller) == f"<Controller: {told}, idle after 0 samples>"
+    controller([1.0, 0.5])
+    assert repr(controller) == f"<Controller: {told}, stabilizing after 1 samples>"
