@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container, Iterable, Sequence
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from fmu_export.variables import did_you_mean
 
@@ -60,8 +60,8 @@ class BodySection(BaseModel):
         return [(entry, value) for entry, value in entries.items() if isinstance(value, str)]
 
 
-def check_bodies(bodies: Sequence[BodySection]) -> None:
-    """Raise ValueError for names that are not different, or that a body begins on before it is there."""
+def _checked(bodies: tuple[BodySection, ...]) -> tuple[BodySection, ...]:
+    """Return the bodies; raise ValueError for names that are not different, or that a body begins on before it is there."""
     names: list[str] = []
     for number, body in enumerate(bodies):
         if body.name in names:
@@ -71,6 +71,11 @@ def check_bodies(bodies: Sequence[BodySection]) -> None:
         if body.relative and body.on is None:
             raise ValueError(f"{number}.relative needs a body that it begins on, found none")
         names.append(body.name)
+    return bodies
+
+
+Bodies = Annotated[tuple[BodySection, ...], AfterValidator(_checked)]
+"""Bodies of different names, each that another begins on before that one."""
 
 
 def _one_of(names: Iterable[str]) -> str:

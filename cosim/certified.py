@@ -52,13 +52,19 @@ def _differ(names: Sequence[str]) -> str:
     return f"{listed} {'differs' if len(names) == 1 else 'differ'}"
 
 
+def is_pendulums(design: Design) -> bool:
+    """Return whether the units of a design are the pendulum's own."""
+    from ihc_fmu.system import PENDULUM  # noqa: PLC0415 - heavy
+
+    return design.system.name == PENDULUM
+
+
 def start_values(design: Design) -> dict[str, Any]:
     """Return the start values that the controller FMU of a design has from it."""
     from ihc_fmu.controller import regulator_of  # noqa: PLC0415 - heavy
     from ihc_fmu.pendulum.start_values import design_values  # noqa: PLC0415
-    from ihc_fmu.system import PENDULUM  # noqa: PLC0415
 
-    if design.system.name == PENDULUM:
+    if is_pendulums(design):
         return dict(design_values(design))
     return {v.name: v.start for v in regulator_of(design).exported()[0].variables}
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from ihc_fmu.controller import resampled
 from ihc_fmu.estimation import remarks as estimation_remarks
 from ihc_fmu.observer import remark as observer_remark
-from ihc_fmu.system import PENDULUM
 
 from . import certified, pendulum_export, system_export
+from .certified import is_pendulums
 from .errors import UserError
 from .pendulum_export import Kind
 
@@ -44,11 +44,6 @@ def export_design(
             f"{design.system.name}"
         )
     return system_export.export_system(design, output, **common)
-
-
-def is_pendulums(design: Design) -> bool:
-    """Return whether the units of a design are the pendulum's own."""
-    return design.system.name == PENDULUM
 
 
 def exported_files(design: Design) -> tuple[str, ...]:

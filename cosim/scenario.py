@@ -19,7 +19,7 @@ from fmu_export.variables import did_you_mean
 from plant_fmu.parameters import PARAMETER_SETS
 
 from . import parameter_files, ssp
-from .animation import BodySection, check_bodies
+from .animation import Bodies
 from .errors import UserError
 from .evaluation import EvaluateSection
 from .inputs import DisturbanceSection, SignalSection
@@ -165,15 +165,9 @@ class Scenario(_Section):
     components: dict[str, ComponentSection] = {}
     disturbance: DisturbanceSection = DisturbanceSection()  # type: ignore[call-arg]
     signals: tuple[SignalSection, ...] = ()
-    animation: tuple[BodySection, ...] = ()
+    animation: Bodies = ()
     evaluate: EvaluateSection = EvaluateSection()  # type: ignore[call-arg]
     record: RecordSection = RecordSection()  # type: ignore[call-arg]
-
-    @field_validator("animation")
-    @classmethod
-    def _bodies(cls, value: tuple[BodySection, ...]) -> tuple[BodySection, ...]:
-        check_bodies(value)
-        return value
 
     @field_validator("components")
     @classmethod

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import BaseModel, field_validator
+from pydantic import BaseModel
 
 from filing.files import write_file
 from fmu_export.files import FilePath
 
-from ..animation import BodySection, check_bodies, check_signals
+from ..animation import Bodies, check_signals
 from ..errors import UserError
 from ..evaluation import evaluation_in
 from ..judged_signals import can_draw, can_evaluate, kept_upright, overflow
@@ -215,13 +215,7 @@ def _motion(plots: Plots) -> dict[str, Any] | None:
 
 
 class _Bodies(BaseModel):
-    animation: tuple[BodySection, ...] = ()
-
-    @field_validator("animation")
-    @classmethod
-    def _named(cls, value: tuple[BodySection, ...]) -> tuple[BodySection, ...]:
-        check_bodies(value)
-        return value
+    animation: Bodies = ()
 
 
 def _plain(name: str) -> str:
