@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cosim.campaign import Job, run_all
 from cosim.errors import UserError
 from cosim.judged_signals import kept_upright, takeovers, wrapped
 from cosim.results import Result
 from cosim.scenario import load_scenario
+from cosim.studies.engine import Job, run_all
 from plant_fmu.parameters import PARAMETER_SETS
 
 SETS = ("ident", "matrices", "hcs")

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.campaign import Job, run_all
 from cosim.errors import UserError
 from cosim.fmu_files import describe
 from cosim.paper import printed
@@ -24,6 +23,7 @@ from cosim.paper.gains import A, B
 from cosim.paper.study import QUICK, REFERENCE, SWING_UP_RANGES, Key, Study, numbers
 from cosim.paper.variants import smc_start
 from cosim.paper.verdicts import margin
+from cosim.studies.engine import Job, run_all
 from ihc_fmu.sliding_mode import FITTED_KAPPA, FITTED_POLES, FITTED_RHO, sliding_mode_design
 
 STEP = 1e-3

@@ -13,11 +13,11 @@ from fmpy import simulate_fmu
 from fmpy.ssp.simulation import simulate_ssp
 
 from benchmarks.tools import STEP, Pair
-from cosim.campaign import Job, run_all
 from cosim.master import simulate
 from cosim.metrics import evaluate
 from cosim.scenario import Scenario, load_scenario
 from cosim.scenario_run import run_scenario
+from cosim.studies.engine import Job, run_all
 
 SHORT_STEPS = 10
 

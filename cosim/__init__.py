@@ -26,7 +26,6 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .comparison import Comparison
     from .errors import UserError
     from .linearize import linear_model
     from .master import simulate
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from .running import compare, export, run
     from .scenario import Scenario, load_scenario
     from .structure import Component, Signal, SystemStructure, Wire
+    from .studies.comparison import Comparison
 
     __version__: str
 
@@ -63,7 +63,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "cosim.comparison": ("Comparison",),
+    "cosim.studies.comparison": ("Comparison",),
     "cosim.errors": ("UserError",),
     "cosim.plant_model": ("LinearModel",),
     "cosim.linearize": ("linear_model",),

@@ -188,7 +188,7 @@ def _model(key: _Key) -> Model:
     return Model(np.array(key[0]).reshape(len(b), len(b)), b)
 
 
-@lru_cache(maxsize=64)  # a campaign's runs have few models
+@lru_cache(maxsize=64)  # a study's runs have few models
 def _misfit(design_key: _Key, plant_key: _Key) -> str | None:
     design, plant = _model(design_key), _model(plant_key)
     d = distance(design, plant)

@@ -101,7 +101,7 @@ def _apart(a: WiredPlant, b: WiredPlant) -> bool:
     return not all(np.isclose(a.values[name], value, 1e-6, 1e-9) for name, value in b.values.items())
 
 
-@lru_cache(maxsize=64)  # a campaign's runs have few plants
+@lru_cache(maxsize=64)  # a study's runs have few plants
 def plant_at(question: Question) -> WiredPlant | str:
     """Return the plant at the question's places, else why it cannot be evaluated there."""
     try:

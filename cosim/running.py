@@ -19,8 +19,8 @@ from .scenario_system import build_system
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from .comparison import Comparison
     from .results import Result
+    from .studies.comparison import Comparison
 
 
 def export(
@@ -164,7 +164,7 @@ def compare(
     >>> [f"{comparison.value(law, 'peak').value:.2f}" for law in ("LC", "IHC")]
     ['0.80', '1.37']
     """
-    from .experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
+    from .studies.experiments import LAWS, Experiment, laws_of, run_experiments  # noqa: PLC0415 - heavy
 
     check_whole("draws", draws, 0)
     if workers is not None:

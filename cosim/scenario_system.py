@@ -13,11 +13,11 @@ from ihc_fmu.sampled_unit import check_step
 
 from . import certified, pendulum, wiring
 from .animation import check_signals
-from .draws import OFFSETS, offsets, random_measurement
 from .errors import UserError
 from .evaluation import ARM_SET_POINT, EvaluateSection, Evaluation, evaluation_of, pendulum_evaluation
 from .fmu_files import describe, start_values_of
 from .inputs import function_of, planned
+from .offsets import OFFSETS, offsets, random_measurement
 from .pendulum import WIRES
 from .scenario import Scenario
 from .scenario_files import beside_or_here, check_fmus_exist, files

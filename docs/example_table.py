@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from cosim.comparison import Comparison
-from cosim.draws import change_text, estimate_text
-from cosim.experiments import Experiment, run_experiments
 from cosim.scenario import Scenario, load_scenario
+from cosim.studies.comparison import Comparison
+from cosim.studies.estimates import change_text, estimate_text
+from cosim.studies.experiments import Experiment, run_experiments
 from cosim.system_export import export_system, exported_files
 from ihc_fmu.design import Design
 from ihc_fmu.inverse import inverse_design

@@ -22,11 +22,11 @@ from pydantic.fields import FieldInfo
 
 from cosim.animation import BodySection
 from cosim.cli import app
-from cosim.draws import MeanEstimate, change_text, estimate_text
 from cosim.hil.faults import KINDS
 from cosim.inputs import KINDS as KINDS_OF_SIGNALS
 from cosim.metric_meanings import QUANTITIES
 from cosim.scenario import ComponentSection, Scenario
+from cosim.studies.estimates import MeanEstimate, change_text, estimate_text
 from cosim.wiring import WireSection
 from fmu_export.variables import Interface, Variable
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER

@@ -26,7 +26,7 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..comparison import Comparison
+    from ..studies.comparison import Comparison
 
 REPORT = "report.html"
 """The page among a comparison's files."""
@@ -69,10 +69,10 @@ def compare(
 
     Given results of `run` or `hil` instead, show them side by side.
     """
-    from ..experiments import LAW, LAWS, Experiment, check_names, laws_of
     from ..remarks import remarks_before
     from ..scenario import load_located
     from ..scenario_system import build_system, controller_design
+    from ..studies.experiments import LAW, LAWS, Experiment, check_names, laws_of
 
     if laws is not None and vary is not None:
         raise UserError("compare takes --laws or --vary, not both")
@@ -157,9 +157,9 @@ def run_and_write(
 
     `page` is written besides where there is one experiment.
     """
-    from ..experiments import run_experiments
     from ..remarks import rest_remarks
     from ..scenario_system import build_system
+    from ..studies.experiments import run_experiments
 
     written: list[str] = []
     try:

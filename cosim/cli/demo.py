@@ -25,8 +25,8 @@ def demo(
     """Design, export, co-simulate LC, SMC and IHC from hanging down and from a tilt, compare."""
     from ihc_fmu.pendulum.start_values import default_design
 
-    from ..experiments import LAWS, Experiment
     from ..scenario import load_scenario
+    from ..studies.experiments import LAWS, Experiment
 
     check_replaceable(output / "design.json", *(fmus / name for name in EXPORTED))
     for name in DEMO:

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
     from ihc_fmu.design import Design
 
-    from ..comparison import Comparison
     from ..paper.verdicts import Claim
     from ..results import Result
-    from ..tuning import Outcome, Tuning
+    from ..studies.comparison import Comparison
+    from ..studies.tuning import Outcome, Tuning
 
 
 class Output(Console):
@@ -247,8 +247,8 @@ def print_design(design: Design, reasons: Sequence[str] = ()) -> None:
 
 def print_tuning(tuning: Tuning) -> None:
     """Print where the paper's rule stopped."""
-    from ..draws import change_text
     from ..metric_meanings import is_pendulum
+    from ..studies.estimates import change_text
 
     q, linear, variation = tuning.quantities[tuning.measure], tuning.linear, tuning.chattering
     drawn = f", {linear.draws} draws; ± 95 % interval" if linear.draws > 1 else ""

@@ -58,15 +58,16 @@ def tune(
     """
     from ihc_fmu.pendulum.start_values import default_design
 
-    from ..campaign import Journal
     from ..pendulum import is_controller
     from ..remarks import remarks_before
     from ..scenario import load_located
     from ..scenario_run import with_tolerances
     from ..scenario_system import build_system, controller_values
-    from ..tuning import PURPOSE, Grid, TuningProblem
-    from ..tuning import tune as run_tuning
-    from ..tuning_files import WRITTEN_FILES, save
+    from ..studies.journal import Journal
+    from ..studies.numbers import PURPOSE
+    from ..studies.tuning import Grid, TuningProblem
+    from ..studies.tuning import tune as run_tuning
+    from ..studies.tuning_files import WRITTEN_FILES, save
 
     loaded_scenario, folder, fmus = load_located(scenario, fmus)
     loaded_scenario = loaded_scenario.changed(dict(assignments(change)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..campaign import counted
+from ..studies.numbers import counted
 from . import printed
 from .gains import GainReading, NormReading
 from .study import COMPARED, GAINS, REFERENCE, Key

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..campaign import counted
 from ..judged_signals import angle_norm
 from ..metric_meanings import QUANTITIES
 from ..plots import COLOURS, DELTA, OTHERS, THETA, Q, angle, save_figure
 from ..results import Result
+from ..studies.numbers import counted
 from . import printed
 from .study import COMPARED, GAINS, Study
 from .variants import sweep_name

@@ -19,13 +19,14 @@ from ihc_fmu.pendulum.paper_system import paper_system
 from plant_fmu.linearization import linearize
 from plant_fmu.parameters import parameter_set
 
-from ..campaign import Job, Journal, run_all
 from ..errors import UserError
 from ..fmu_files import describe
 from ..report.motion import pendulum_in_motion
 from ..report.page import ANIMATION, data, render
 from ..results import Result, versions
 from ..scenario import BUILT_IN, load_scenario
+from ..studies.engine import Job, run_all
+from ..studies.journal import Journal
 from . import figures, printed, tables
 from .claims import Judge, Theory
 from .gains import K_LIN, A, B, gain_readings, norm_readings

@@ -25,11 +25,12 @@ from ihc_fmu.pendulum.start_values import default_design
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import PARAMETER_SETS
 
-from ..campaign import Job, Journal, run_all, run_numbers
 from ..judged_signals import angle_norm, kept_upright, wrapped
 from ..metrics import evaluate, settling_time
 from ..results import Result
 from ..scenario import BUILT_IN, Scenario, load_scenario
+from ..studies.engine import Job, run_all, run_numbers
+from ..studies.journal import Journal
 from . import printed
 from .gains import TILT
 from .variants import PAPER_U_MAX, Variant, controllers, sweep_variants
@@ -270,7 +271,7 @@ class Study:
     ) -> dict[Key, dict[str, float]]:
         """Return the numbers of each run, from the journal where it has them."""
         jobs = [self.job(key) for key in keys]
-        return {k: dict(v) for k, v in run_numbers(jobs, self.fmus, numbers, journal, self.workers, progress).items()}
+        return {k: dict(v) for k, v in run_numbers(jobs, self.fmus, journal, numbers, self.workers, progress).items()}
 
 
 SHIPPED_SWING_UP = {f"controller.start.{name}": CONTROLLER.start_values()[name] for name in SWING_UP_RANGES}

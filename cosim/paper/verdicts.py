@@ -9,7 +9,7 @@ from typing import Literal
 
 from scipy.stats import binomtest
 
-from ..campaign import Numbers, counted
+from ..studies.numbers import Numbers, counted
 from .study import Key
 
 Runs = Mapping[Key, Numbers]

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import device_swing_up
 from benchmarks.device_swing_up import CABLE, LATEST, SETS, STEPS, Key, Outcome, jobs, judged, main, table
-from cosim.campaign import run_all
+from cosim.studies.engine import run_all
 from plant_fmu.parameters import PARAMETER_SETS
 
 DRAWS = 100

@@ -387,7 +387,8 @@ HANGING = """
 import os
 import sys
 from pathlib import Path
-from cosim import campaign, interrupts
+from cosim import interrupts
+from cosim.studies import engine
 from cosim.hil.loop import Loop
 from cosim.master import simulate
 from cosim.structure import Component, SystemStructure
@@ -405,8 +406,8 @@ class Noted(rig.Between):
 if what == "run":
     go()
 elif what == "compare":
-    campaign.run_scenario = go
-    campaign.run_all([campaign.Job(k, Scenario()) for k in range(2)], fmus, print, workers=2)
+    engine.run_scenario = go
+    engine.run_all([engine.Job(k, Scenario()) for k in range(2)], fmus, print, workers=2)
 else:
     controller = Component("controller", fmu, {"hang": 1, "at": 3})
     os.write(1, b"begins" + os.linesep.encode())

@@ -6,13 +6,14 @@ from dataclasses import replace
 import pytest
 
 from cosim import parameter_files
-from cosim.campaign import Job, Journal, run_all
 from cosim.errors import UserError
 from cosim.fmu_files import describe
 from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, load_scenario
 from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
+from cosim.studies.engine import Job, run_all
+from cosim.studies.journal import Journal
 from plant_fmu.interface import start_values
 from plant_fmu.parameters import PARAMETER_SETS, ParameterSet
 

@@ -9,14 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.draws import random_measurement
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
-from cosim.experiments import check_outputs
 from cosim.fmu_files import start_values_of
 from cosim.inputs import DisturbanceSection, Sine
 from cosim.judged_signals import kept_upright
 from cosim.metrics import evaluate
+from cosim.offsets import random_measurement
 from cosim.pendulum import WIRES
 from cosim.pendulum_export import export_units
 from cosim.plots import law_of
@@ -24,6 +23,7 @@ from cosim.scenario import Scenario, built_in_names, load_scenario
 from cosim.scenario_files import files
 from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
+from cosim.studies.experiments import check_outputs
 from fmu_export.python_fmu import export_python_fmu
 from ihc_fmu.inverse import inverse_design
 from ihc_fmu.options import Options

@@ -13,7 +13,6 @@ from scipy.linalg import expm, solve_continuous_are
 
 from cosim.errors import UserError
 from cosim.evaluation import evaluation_in
-from cosim.experiments import Experiment, laws_of, run_experiments
 from cosim.fmu_files import start_values_of
 from cosim.metric_meanings import quantities_of
 from cosim.metrics import evaluate
@@ -22,6 +21,7 @@ from cosim.results import Result
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario, with_tolerances
 from cosim.scenario_system import build_system, evaluation
+from cosim.studies.experiments import Experiment, laws_of, run_experiments
 from fmu_export.native_fmu import export_native_fmu
 from ihc_fmu.block_form import block_form
 from ihc_fmu.inverse import inverse_design

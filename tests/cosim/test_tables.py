@@ -6,12 +6,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from cosim.comparison import Comparison, Draw
-from cosim.draws import MeanEstimate, change_text, estimate_text
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics
 from cosim.results import Result
 from cosim.scenario import Scenario
+from cosim.studies.comparison import Comparison, Draw
+from cosim.studies.estimates import MeanEstimate, change_text, estimate_text
 from ihc_fmu.synthesis import synthesize
 from ihc_fmu.system import System
 

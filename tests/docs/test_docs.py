@@ -10,9 +10,9 @@ import pytest
 import typer.main
 
 from cosim.cli import app
-from cosim.experiments import Experiment, run_experiments
 from cosim.pendulum_export import export_units
 from cosim.scenario import Scenario, load_scenario
+from cosim.studies.experiments import Experiment, run_experiments
 from ihc_fmu.pendulum.start_values import default_design
 from ihc_fmu.system_entries import ENTRIES
 

@@ -15,11 +15,11 @@ from cosim.cli.display import (
     print_results,
     show_table,
 )
-from cosim.comparison import Comparison, Draw
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics
 from cosim.paper.verdicts import Claim
 from cosim.scenario import Scenario
+from cosim.studies.comparison import Comparison, Draw
 from ihc_fmu.inverse import inverse_design
 from ihc_fmu.options import Options
 from ihc_fmu.system import System

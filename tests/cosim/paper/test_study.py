@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cosim.campaign import Journal
 from cosim.metrics import evaluate
 from cosim.paper import printed
 from cosim.paper.study import (
@@ -38,6 +37,7 @@ from cosim.paper.variants import sweep_name
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
+from cosim.studies.journal import Journal
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from plant_fmu.interface import start_values as plant_start_values
 from plant_fmu.parameters import QubeParameters

@@ -9,16 +9,16 @@ import math
 import numpy as np
 import pytest
 
-from cosim.comparison import Comparison, Draw
-from cosim.draws import drawn
 from cosim.errors import UserError
-from cosim.experiments import Experiment, run_experiments
 from cosim.master import SimulationError
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics, evaluate
 from cosim.results import Result
 from cosim.scenario import Scenario, load_scenario
 from cosim.scenario_run import run_scenario
+from cosim.studies.comparison import Comparison, Draw
+from cosim.studies.draws import drawn
+from cosim.studies.experiments import Experiment, run_experiments
 
 FILTER = {"controller.start.velocity_source": "filter"}
 

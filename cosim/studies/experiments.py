@@ -10,20 +10,20 @@ from fmu_export.errors import UserError
 from fmu_export.files import FilePath
 from ihc_fmu.pendulum.interface import LAWS
 
-from .campaign import Job, run_all
+from ..coupling import Coupling
+from ..fmu import Instance
+from ..judged_signals import kept_upright, missing_signals
+from ..metric_meanings import measure_of
+from ..metrics import evaluate
+from ..names import is_plain
+from ..scenario import Scenario
+from ..scenario_files import files
+from ..scenario_run import run_scenario, with_tolerances
+from ..scenario_system import build_system, evaluation, plant_values
+from ..wiring import CONTROLLER
 from .comparison import Comparison, Draw
-from .coupling import Coupling
 from .draws import PENDULUM, Chance, chance_of, drawn
-from .fmu import Instance
-from .judged_signals import kept_upright, missing_signals
-from .metric_meanings import measure_of
-from .metrics import evaluate
-from .names import is_plain
-from .scenario import Scenario
-from .scenario_files import files
-from .scenario_run import run_scenario, with_tolerances
-from .scenario_system import build_system, evaluation, plant_values
-from .wiring import CONTROLLER
+from .engine import Job, run_all
 
 LAW = "controller.start.law"
 """The entry that a comparison varies unless it is told another."""

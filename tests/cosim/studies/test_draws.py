@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cosim.draws import change, drawn, encoder_offsets, mean, rms_change, root_mean_square
 from cosim.scenario import Scenario
+from cosim.studies.draws import drawn, encoder_offsets
+from cosim.studies.estimates import change, mean, rms_change, root_mean_square
 
 
 def test_offsets_are_a_net_and_more_draws_begin_with_the_same():

@@ -23,26 +23,23 @@ from ihc_fmu.inverse import inverse_design
 from ihc_fmu.options import Options
 from ihc_fmu.pendulum.start_values import design_values
 
-from .campaign import Job, Journal, Numbers, run_numbers
+from ..errors import UserError
+from ..metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities_of
+from ..pendulum import is_controller
+from ..scenario import Scenario
+from ..scenario_system import controller_values, evaluation, plant_values
 from .comparison import UNSTEADY
-from .draws import Chance, MeanEstimate, chance_of, change, drawn, mean, rms_change, root_mean_square
-from .errors import UserError
+from .draws import Chance, chance_of, drawn
+from .engine import Job, run_numbers
+from .estimates import MeanEstimate, change, mean, rms_change, root_mean_square
 from .experiments import check_outputs, laws_of
-from .judged_signals import kept_upright
-from .metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities_of
-from .metrics import evaluate
-from .pendulum import is_controller
-from .results import Result
-from .scenario import Scenario
-from .scenario_system import controller_values, evaluation, plant_values
+from .journal import Journal
+from .numbers import Numbers
 
 ROLES = ("integral", "rms", "settling", "energy", "variation")
 """What can be tuned by: smaller is better."""
 MEASURES = tuple(q.name for role in ROLES for q in QUANTITIES.values() if q.role == role)
 """The pendulum's metrics to tune by."""
-
-PURPOSE = "tuning: numbers 2"
-"""Named in the journal; to be changed with `numbers`."""
 
 
 class Point(NamedTuple):
@@ -257,7 +254,9 @@ def tune(
             for scenario in [problem.at(point, designs[point.mu, point.u_max])]
             for draw in problem.numbers
         ]
-        by_key = run_numbers(jobs, problem.fmus, numbers, journal, workers, lambda done, total: say(what, done, total))
+        by_key = run_numbers(
+            jobs, problem.fmus, journal, workers=workers, progress=lambda done, total: say(what, done, total)
+        )
         for point in dict.fromkeys(key[0] for key in by_key):
             runs[point] = [by_key[point, draw] for draw in problem.numbers]
             outcomes[point] = _outcome(point, runs[point], runs[start], problem)
@@ -279,18 +278,6 @@ def tune(
     stops = tuple(_walk([outcomes[p._replace(b_max=b_max)] for b_max in up], most).point for p in lowest)
     assert problem.measure is not None
     return Tuning(problem.measure, outcomes, stops, linear, designs, problem.quantities)
-
-
-def numbers(result: Result) -> dict[str, float]:
-    """Return what tuning needs of a run."""
-    metrics = evaluate(result)
-    values = metrics.as_dict()
-    return {
-        **{q.name: float(values[q.name]) for q in metrics.quantities.values() if q.role in ROLES},
-        "kept": float(kept_upright(result)),
-        "steady": float(metrics.steady),
-        "duration": float(result.time[-1] - result.time[0]),
-    }
 
 
 def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: TuningProblem) -> Outcome:

@@ -16,8 +16,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cosim import campaign
-from cosim.campaign import Job, Journal, code_files, run_all, run_numbers
 from cosim.errors import UserError
 from cosim.fmu_files import UnpackedFmu
 from cosim.metrics import evaluate
@@ -25,6 +23,10 @@ from cosim.pendulum_export import Kind, export_units
 from cosim.results import Result, SimulationError
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
+from cosim.studies import engine
+from cosim.studies import journal as journal_module
+from cosim.studies.engine import Job, run_all, run_numbers
+from cosim.studies.journal import Journal, code_files
 
 SHORT = {"run.duration": 0.2, "plant.start.noise_std": 1e-4}
 LONG = {"run.duration": 20_000.0, "record.every": 1000}
@@ -55,7 +57,7 @@ def begun(monkeypatch):
         seeds.append(scenario.run.seed)
         return run_scenario(scenario, *rest)
 
-    monkeypatch.setattr(campaign, "run_scenario", run)
+    monkeypatch.setattr(engine, "run_scenario", run)
     return seeds
 
 
@@ -166,7 +168,7 @@ def test_relative_paths_are_found_while_another_thread_loads_a_library(elsewhere
 
     monkeypatch.chdir(elsewhere)
     monkeypatch.setattr(UnpackedFmu, "library", load_slowly)
-    monkeypatch.setattr(campaign, "run_scenario", run)
+    monkeypatch.setattr(engine, "run_scenario", run)
     found = run_all([job(seed, run__seed=seed) for seed in (1, 2)], Path("fmus"), lambda _: "fine", 2)
     assert found == {1: "fine", 2: "fine"}
 
@@ -342,7 +344,7 @@ def test_a_journal_begins_with_its_first_numbers_in_a_new_folder_or_an_empty_fil
 def test_what_is_kept_is_seen_by_others_at_once_and_outlives_a_killed_process(tmp_path):
     path = tmp_path / "journal"
     script = (
-        "import os, pathlib, signal, sys; from cosim.campaign import Journal;"
+        "import os, pathlib, signal, sys; from cosim.studies.engine import Journal;"
         "Journal(pathlib.Path(sys.argv[1]), 'test').keep('a', {'x': 1.5}); os.kill(os.getpid(), 9)"
     )
     with Journal(path, "test") as journal:
@@ -451,13 +453,13 @@ def test_another_purpose_or_other_code_gives_another_digest(digest, job, monkeyp
     copies = [tmp_path / str(k) for k, _ in enumerate(code_files())]
     for copy, file in zip(copies, code_files(), strict=True):
         shutil.copy(file, copy)
-    monkeypatch.setattr(campaign, "code_files", lambda: copies)
+    monkeypatch.setattr(journal_module, "code_files", lambda: copies)
     found = []
     for _ in range(2):
-        campaign.code_digest.cache_clear()
+        journal_module.code_digest.cache_clear()
         found.append(digest(job(0)))
         copies[-1].write_bytes(copies[-1].read_bytes() + b"\n")
-    campaign.code_digest.cache_clear()
+    journal_module.code_digest.cache_clear()
     assert found[0] == before != found[1]
 
 
@@ -509,7 +511,7 @@ def test_a_second_call_runs_nothing_and_gives_the_same_numbers(fmus, job, tmp_pa
     seen, found, evaluations = [], [], Evaluations()
     for _ in range(2):
         with Journal(tmp_path / "journal", "test") as journal:
-            found.append(run_numbers(jobs, fmus, evaluations, journal, 2, lambda *c: seen.append(c)))
+            found.append(run_numbers(jobs, fmus, journal, evaluations, 2, lambda *c: seen.append(c)))
     assert sorted(begun) == sorted(evaluations) == [0, 1, 2, 3]
     assert seen == [(k, 4) for k in range(5)] + [(4, 4)]
     assert list(found[0]) == list(found[1]) == [one.key for one in jobs]
@@ -522,9 +524,9 @@ def test_a_second_call_runs_nothing_and_gives_the_same_numbers(fmus, job, tmp_pa
 def test_only_what_is_new_is_run(fmus, job, tmp_path):
     evaluations, seen = Evaluations(), []
     with Journal(tmp_path / "journal", "test") as journal:
-        run_numbers([job(seed, run__seed=seed) for seed in (1, 2)], fmus, evaluations, journal, 1)
+        run_numbers([job(seed, run__seed=seed) for seed in (1, 2)], fmus, journal, evaluations, 1)
         jobs = [job(seed, run__seed=seed) for seed in (3, 2, 1, 4)]
-        found = run_numbers(jobs, fmus, evaluations, journal, 1, lambda *counts: seen.append(counts))
+        found = run_numbers(jobs, fmus, journal, evaluations, 1, lambda *counts: seen.append(counts))
     assert evaluations == [1, 2, 3, 4]
     assert list(found) == [3, 2, 1, 4]
     assert seen == [(2, 4), (3, 4), (4, 4)]
@@ -539,13 +541,13 @@ def test_interrupted_half_way_and_repeated_is_as_never_interrupted(fmus, job, tm
             raise KeyboardInterrupt
 
     with Journal(tmp_path / "cut", "test") as journal, pytest.raises(KeyboardInterrupt):
-        run_numbers(jobs, fmus, Evaluations(), journal, 2, interrupt)
+        run_numbers(jobs, fmus, journal, Evaluations(), 2, interrupt)
     with Journal(tmp_path / "cut", "test") as journal:
         assert len(journal.known) == 3
-        found = run_numbers(jobs, fmus, evaluations, journal, 2)
+        found = run_numbers(jobs, fmus, journal, evaluations, 2)
     assert len(evaluations) == 5
     with Journal(tmp_path / "whole", "test") as journal:
-        whole = run_numbers(jobs, fmus, measured, journal, 1)
+        whole = run_numbers(jobs, fmus, journal, measured, 1)
     assert {seed: bits(numbers) for seed, numbers in found.items()} == {s: bits(n) for s, n in whole.items()}
 
 
@@ -562,7 +564,7 @@ def test_processes_share_the_work_of_one_journal(fmus, job, tmp_path, begun):
             if done == 2:  # the first has ended one of its runs, and is killed in the other
                 first.keep(keys[0], {"kept": 1.0})
 
-        found = run_numbers(jobs, fmus, measured, second, 1, progress)
+        found = run_numbers(jobs, fmus, second, measured, 1, progress)
     assert begun == [2, 3, 1]
     assert seen == [0, 1, 2, 3, 4]
     assert (list(found), found[0]) == ([0, 1, 2, 3], {"kept": 1.0})
@@ -573,7 +575,7 @@ def test_a_run_that_an_fmu_ends_has_no_numbers_and_is_not_tried_again(fmus, job,
     found = []
     for _ in range(2):
         with Journal(tmp_path / "journal", "test") as journal:
-            found.append(run_numbers(jobs, fmus, measured, journal, 2))
+            found.append(run_numbers(jobs, fmus, journal, measured, 2))
     assert sorted(begun) == [1, 2]
     assert [numbers["bad"] for numbers in found] == [{}, {}]
     assert bits(found[0]["good"]) == bits(found[1]["good"])
@@ -583,7 +585,7 @@ def test_a_mistake_of_the_user_is_not_kept(fmus, job, tmp_path):
     jobs = [job(1, run__seed=1), job(0, controller__start__lwa=1.0)]
     with Journal(tmp_path / "journal", "test") as journal:
         with pytest.raises(UserError, match="lwa"):
-            run_numbers(jobs, fmus, measured, journal, 1)
+            run_numbers(jobs, fmus, journal, measured, 1)
         assert len(journal.known) == 1
 
 
@@ -591,5 +593,5 @@ def test_python_fmus_have_numbers_of_their_own(fmus, python_fmus, job, tmp_path)
     evaluations = Evaluations()
     with Journal(tmp_path / "journal", "test") as journal:
         for folder in (fmus, python_fmus, fmus, python_fmus):
-            run_numbers([job(0, run__duration=0.01)], folder, evaluations, journal, 1)
+            run_numbers([job(0, run__duration=0.01)], folder, journal, evaluations, 1)
     assert len(evaluations) == 2

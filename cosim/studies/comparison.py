@@ -21,29 +21,19 @@ from fmu_export.files import FilePath
 from fmu_export.reading import read_json
 from ihc_fmu.arguments import check_among
 
-from .draws import (
-    PENDULUM,
-    Chance,
-    MeanEstimate,
-    change,
-    change_text,
-    drawn,
-    estimate_text,
-    mean,
-    rms_change,
-    root_mean_square,
-)
-from .judged_signals import overflow
-from .metric_meanings import WINDOW, MetricMeaning, is_pendulum, measure_of
-from .metrics import Metrics
-from .results import Result
-from .scenario import Scenario
-from .tables import mark
+from ..judged_signals import overflow
+from ..metric_meanings import WINDOW, MetricMeaning, is_pendulum, measure_of
+from ..metrics import Metrics
+from ..results import Result
+from ..scenario import Scenario
+from ..tables import mark
+from .draws import PENDULUM, Chance, drawn
+from .estimates import MeanEstimate, change, change_text, estimate_text, mean, rms_change, root_mean_square
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from .plots import Picture
+    from ..plots import Picture
 
 CONTENTS = "comparison.json"
 
@@ -177,7 +167,7 @@ class Comparison:
         matplotlib.figure.Figure
             The picture; nothing is written.
         """
-        from .plots import errors_of  # noqa: PLC0415 - heavy
+        from ..plots import errors_of  # noqa: PLC0415 - heavy
 
         return errors_of(self.results)
 
@@ -212,7 +202,7 @@ class Comparison:
         UserError
             Where it cannot be written, or would replace a file of somebody else.
         """
-        from .report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
+        from ..report.pages import Findings, Table, Verdict, write_results  # noqa: PLC0415 - heavy
 
         base, *others = self._of_law
         settling = sum(m.role == "settling" for m in self.quantities.values())

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from filing.files import staging, write_file
 from fmu_export.files import FilePath
 
-from .plots import OTHERS, literal, save_figure
-from .scenario_files import files
+from ..plots import OTHERS, literal, save_figure
+from ..scenario_files import files
 from .tuning import Family, Point, Tuning, TuningProblem
 
 WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")

@@ -1,21 +1,18 @@
-"""Many runs: in threads, interruptible, with what is finished kept in a journal, so that a repetition goes on from there."""
+"""The journal of finished runs: numbers under a digest of all that decides them, so that a repetition goes on from there."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
-import os
 import secrets
 import sqlite3
 import threading
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Self
 
 import cosim
 import fmu_export
@@ -24,14 +21,13 @@ import plant_fmu
 from fmu_export.files import FilePath
 from fmu_export.reading import first_bytes, read_bytes
 
-from . import parameter_files
-from .errors import UserError
-from .fmu_files import describe
-from .interrupts import second_ends
-from .results import Result, SimulationError, versions
-from .scenario import Scenario
-from .scenario_files import files
-from .scenario_run import run_scenario
+from .. import parameter_files
+from ..errors import UserError
+from ..fmu_files import describe
+from ..results import versions
+from ..scenario_files import files
+from .jobs import Job
+from .numbers import Numbers
 
 APPLICATION, VERSION = 0x51554245, 2
 """What tells a journal from another SQLite file: "QUBE", and the version of its format."""
@@ -41,88 +37,6 @@ EARLIER_JOURNAL = b"qube-ihc journal"
 
 PATIENCE = 60.0
 """How long a process waits for another one that writes to the journal [s]."""
-
-K = TypeVar("K", bound=Hashable)
-T = TypeVar("T")
-
-Numbers = Mapping[str, float]
-"""What is kept of a run: numbers by name, NaN where there is none."""
-
-
-@dataclass(frozen=True)
-class Job(Generic[K]):
-    """One run of a campaign: what it is called there, its scenario and the folder of the scenario's files."""
-
-    key: K
-    scenario: Scenario
-    folder: FilePath | None = None
-
-
-def run_all(
-    jobs: Sequence[Job[K]],
-    fmus: FilePath,
-    finish: Callable[[Result], T],
-    workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-    done: Callable[[Job[K], T], None] | None = None,
-    failed: Callable[[SimulationError], T] | None = None,
-    skip: Callable[[Job[K]], tuple[bool, T]] | None = None,
-) -> dict[K, T]:
-    """Run every job in `workers` threads (None: one per core); return what `finish` makes of each result, by key.
-
-    Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run.
-    `skip` is asked there before a run begins, and returns whether to leave it out and the value in its place. `done` and
-    `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed` turns the
-    failure of an FMU into a value; on that, and on Ctrl-C, jobs that have not begun are dropped and running
-    ones stopped at their next look. Raises ValueError where two jobs have the same key.
-    """
-    if len({job.key for job in jobs}) < len(jobs):
-        raise ValueError("two jobs of a campaign have the same key")
-    fmus = Path(fmus).absolute()  # FMPy changes the folder of the whole process while it loads a library
-    jobs = [_anchored(job) for job in jobs]
-    stop = threading.Event()
-
-    def look(_done: int = 0, _total: int = 0) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-
-    def run(job: Job[K]) -> T:
-        look()
-        if skip is not None:
-            left_out, value = skip(job)
-            if left_out:
-                return value
-        try:
-            return finish(run_scenario(job.scenario, fmus, job.folder, look))
-        except SimulationError as error:
-            if failed is None:
-                raise
-            return failed(error)
-
-    results: dict[K, T] = {}
-    with second_ends(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        try:
-            futures: dict[Future[T], Job[K]] = {pool.submit(run, job): job for job in jobs}
-            for future in as_completed(futures):
-                job = futures[future]
-                results[job.key] = future.result()
-                if done is not None:
-                    done(job, results[job.key])
-                if progress is not None:
-                    progress(len(results), len(jobs))
-        except BaseException:
-            stop.set()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-    return {job.key: results[job.key] for job in jobs}
-
-
-def _anchored(job: Job[K]) -> Job[K]:
-    """Return the job with absolute paths."""
-    parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
-    if parameters is not None:
-        job = replace(job, scenario=job.scenario.changed({"plant.parameters": str(parameters.absolute())}))
-    return replace(job, folder=None if job.folder is None else Path(job.folder).absolute())
 
 
 class Journal:
@@ -201,11 +115,11 @@ class Journal:
     def digest(self, job: Job[Any], fmus: FilePath) -> str:
         """Return what the job's numbers are kept under: a hash of purpose, code, versions, scenario, FMUs and files."""
         digest = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
-        digest.update(job.scenario.model_dump_json().encode())
-        used = files(job.scenario, fmus, job.folder)
+        digest.update(job.whole.model_dump_json().encode())
+        used = files(job.whole, fmus, job.folder)
         for fmu in used.fmus.values():
             digest.update(str(describe(fmu).guid).encode())
-        parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
+        parameters = parameter_files.file_of(job.whole.plant.parameters, job.folder)
         others = [("design", used.design), ("parameter", parameters), *(("signal", t) for t in used.tables.values())]
         for what, file in others:
             digest.update(b"" if file is None else hashlib.sha256(read_bytes(file, what)).digest())
@@ -284,54 +198,3 @@ def _scipy() -> str:
     from importlib.metadata import version  # noqa: PLC0415
 
     return version("scipy")  # solves for the Kalman filter's gain
-
-
-def counted(numbers: Numbers, name: str) -> float:
-    """Return a number by which draws are compared: infinite where it is NaN or missing, or the law lost the plant."""
-    value = numbers.get(name, math.nan) if numbers.get("kept") else math.nan
-    return math.inf if math.isnan(value) else value
-
-
-def run_numbers(
-    jobs: Sequence[Job[K]],
-    fmus: FilePath,
-    evaluate: Callable[[Result], Numbers],
-    journal: Journal,
-    workers: int | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[K, Numbers]:
-    """Return each job's numbers, from the journal or by a run; `progress` counts both.
-
-    A run that an FMU ends with an error has no numbers: an empty mapping, kept too. Otherwise as `run_all`.
-    """
-    digests = {job.key: journal.digest(job, fmus) for job in jobs}
-    known = {job.key: journal.found(digests[job.key]) for job in jobs}
-    numbers = {key: values for key, values in known.items() if values is not None}
-    todo = [job for job in jobs if job.key not in numbers]
-
-    def report() -> None:
-        if progress is not None:
-            progress(len(numbers), len(jobs))
-
-    def done(job: Job[K], values: Numbers | None) -> None:
-        if values is not None:
-            if journal.found(digests[job.key]) is None:
-                journal.keep(digests[job.key], values)
-            numbers[job.key] = dict(values)
-            report()
-
-    def first(job: Job[K]) -> tuple[bool, Numbers | None]:
-        """Skip what another process has done, and what it has begun."""
-        values = journal.found(digests[job.key])
-        return (True, values) if values is not None or not journal.claim(digests[job.key]) else (False, None)
-
-    def again(job: Job[K]) -> tuple[bool, Numbers | None]:
-        """Skip what another process has done meanwhile; whoever began the rest may be gone."""
-        values = journal.found(digests[job.key])
-        return values is not None, values
-
-    report()
-    for skip in (first, again):
-        todo = [job for job in todo if job.key not in numbers]
-        run_all(todo, fmus, evaluate, workers, done=done, failed=lambda _error: {}, skip=skip)
-    return {job.key: numbers[job.key] for job in jobs}
