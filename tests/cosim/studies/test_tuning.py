@@ -250,7 +250,7 @@ def tuned(tilt, kept_runs):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Write no picture: drawing takes longer than the runs."""
-    monkeypatch.setattr("cosim.tuning_files.save_figure", lambda *_: None)
+    monkeypatch.setattr("cosim.studies.tuning_files.save_figure", lambda *_: None)
 
 
 @pytest.mark.parametrize("name", ["tilt", "swing_up"])
