@@ -39,9 +39,10 @@ def run_all(
     """Run every job in `workers` threads (None: one per core); return what `finish` makes of each result, by key.
 
     Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run. `done`
-    and `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed` turns the
-    failure of an FMU into a value; whole results are large, so that a cluster is not asked for them. On that, and on Ctrl-C, jobs that have not begun are dropped and running
-    ones stopped at their next look. Raises ValueError where two jobs have the same key.
+    and `progress(done, total)` are called in this thread after each job. Whole results are large: a cluster is not asked
+    for them. Raises what a run raises, unless `failed` turns the failure of an FMU into a value; on that, and on Ctrl-C,
+    jobs that have not begun are dropped and running ones stopped at their next look. Raises ValueError where two jobs have
+    the same key.
     """
     place = Path(fmus).absolute()  # FMPy changes the folder of the whole process while it loads a library
 
