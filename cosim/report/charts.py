@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..evaluation import NO_UNIT, ErrorSignal, evaluation_in
-from ..judged_signals import error_norm, given, set_point, wrapped
+from ..evaluation import NO_UNIT, ErrorSignal
+from ..judged_signals import error_norm, evaluation_in, given, set_point, wrapped
 from ..plots import (
     COLOURS,
     LARGEST,
