@@ -75,6 +75,7 @@ def sweep(
     vary: Mapping[str, str | Sequence[Any]],
     *,
     laws: Sequence[str] | None = None,
+    changes: Mapping[str, Any] | None = None,
     draws: int | None = None,
     sampling: Sampling | None = None,
     seed: int = 1,
@@ -93,6 +94,8 @@ def sweep(
         By names of entries what they are drawn from: texts as `normal(0.024,5%)`, or lists of values.
     laws
         Values of the controller's `law`; None: those of this project that it has.
+    changes
+        Entries that differ in all runs, as in `cosim.run`.
     draws
         How many; None: 256, of a grid 1 for each combination.
     sampling
@@ -123,7 +126,8 @@ def sweep(
     Examples
     --------
     >>> from cosim.studies.sweep import sweep
-    >>> swept = sweep("fmus/arm.ssp", {"plant.angle_0": "0.05..0.2"}, laws=["LC", "IHC"], draws=8)
+    >>> tolerance = {"evaluate.tolerance": 0.002}
+    >>> swept = sweep("fmus/arm.ssp", {"plant.angle_0": "0.05..0.2"}, laws=["LC", "IHC"], changes=tolerance, draws=8)
     >>> swept.better("IHC", "settling_time[plant.angle]").wins
     8
     """
@@ -131,6 +135,7 @@ def sweep(
         located, folder, place = scenario, Path(), Path(fmus)
     else:
         located, folder, place = load_located(os.fspath(scenario), Path(fmus))
+    located = located.changed(changes or {})
     plan = plan_sweep(located, vary, place, folder, laws, draws, sampling, seed)
     with tempfile.TemporaryDirectory() as nowhere, Journal(Path(journal or f"{nowhere}/runs"), PURPOSE) as kept:
         return run_sweep(plan, kept, workers, progress)

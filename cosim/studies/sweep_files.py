@@ -11,6 +11,7 @@ import numpy as np
 
 from filing.files import write_file
 from filing.origin import SOFTWARE
+from filing.ownership import check_replaceable
 from fmu_export.errors import UserError
 from fmu_export.files import FilePath
 
@@ -79,6 +80,7 @@ def save(sweep: Sweep, folder: FilePath, measure: str | None = None, worst: int 
     FMUs, tables, designs and parameter files that lie beside the scenario are copied beside the worst ones. Raises
     UserError where something cannot be written, or would replace a file of somebody else.
     """
+    check_replaceable(*(Path(folder) / file for file in written_files(sweep.plan.laws, worst)))
     name = measure or sweep.measure
     title = f"{sweep.plan.scenario.name}: {title_of(sweep)}"
     ranked = {law: sweep.worst(law, name, worst) for law in sweep.plan.laws}

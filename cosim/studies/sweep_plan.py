@@ -16,6 +16,7 @@ from fmu_export.files import FilePath
 from ihc_fmu.arguments import check_whole
 
 from ..metric_meanings import QUANTITIES, MetricMeaning, quantities_of
+from ..metrics import LEAST
 from ..room import check_memory
 from ..scenario import Scenario
 from ..scenario_run import with_tolerances
@@ -146,6 +147,10 @@ def plan_sweep(
         column = drawn[variation.path]
         entries.check(variation, variation.values or (float(column.min()), float(column.max())))
     judged = with_tolerances(scenario, fmus, folder)
+    if set(judged.evaluate.tolerances or ()) == {LEAST}:
+        raise UserError(
+            "nothing moves in the scenario as it stands, so settling has no tolerance; --set evaluate.tolerance gives one"
+        )
     own: dict[str, Any] = {"controller.other_model": True, "record.every": 1}  # checked as the scenario stands
     if chance and "run.seed" not in paths:
         own["run.seed"] = None

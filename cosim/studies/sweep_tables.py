@@ -9,7 +9,7 @@ from typing import Any
 from ..metric_meanings import WINDOW, is_pendulum
 from ..tables import mark
 from .described import pair
-from .estimates import change_text, decimals, estimate_text
+from .estimates import change_text, estimate_text
 from .sensitivity import KEPT, LEAST
 from .sweep import QUANTILES, Sweep
 
@@ -103,7 +103,7 @@ def _deciding(sweep: Sweep, law: str, name: str) -> str:
     texts = []
     for what, estimate in few:
         value, half = 100.0 * estimate.value, 100.0 * estimate.half_width
-        digits = decimals(half) if 0.0 < half < 1.0 else 0
+        digits = int(0.05 <= half < 0.95)
         texts.append(f"{what} {value:.{digits}f} ± {half:.{digits}f} %")
     return ", ".join(texts) or "none alone"
 

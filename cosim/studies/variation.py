@@ -94,6 +94,8 @@ class Entries:
             section, _, rest = rest.partition(".")
         if section in self._variables:
             entry = rest.removeprefix("start.")
+            if entry in ("", "start"):
+                raise UserError(f"--vary {name} must name a start value, such as {section}.NAME, or another entry")
             place = section if section in ("plant", "controller") else f"components.{section}"
             if rest == entry and rest in type(self.scenario.parts[section]).model_fields:
                 return f"{place}.{rest}"
@@ -152,7 +154,7 @@ class Entries:
                     as_value(found[1], value)
                 self.scenario.changed({variation.path: value})
             except UserError as error:
-                hint = "" if variation.quantile is None else "; uniform and lognormal ones stay within limits"
+                hint = "; uniform and lognormal ones stay within limits" if variation.spec.startswith("normal") else ""
                 rule = str(error).removeprefix(f"{self.scenario.name}: ")
                 raise UserError(f"--vary {variation.name} draws a value that cannot be: {rule}{hint}") from None
 
@@ -205,7 +207,7 @@ def _called(kind: str, arguments: list[str], nominal: Any, what: str) -> Quantil
     if kind not in FORMS:
         near = did_you_mean(kind, FORMS)
         raise UserError(f"{what} takes one of {', '.join(FORMS.values())}, found {kind!r}{near}")
-    about = kind in ("normal", "lognormal") and len(arguments) == 1
+    about = kind in ("normal", "lognormal") and len(arguments) == 1 and arguments[0].endswith("%")
     if len(arguments) != (1 if about else 2) or not all(arguments):
         raise UserError(f"{what} takes {FORMS[kind]}, found {kind}({','.join(arguments)})")
     if kind in ("uniform", "loguniform"):
