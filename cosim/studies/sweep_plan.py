@@ -155,8 +155,9 @@ def plan_sweep(
     if chance and "run.seed" not in paths:
         own["run.seed"] = None
     base = judged.changed(own)
-    for law in chosen:
-        check_outputs(base if law == OWN else base.changed({LAW: law}), fmus, folder)
+    entered = [{v.path: value} for v in variations for value in v.values if ".start." not in v.path]
+    for changes in [*({} if law == OWN else {LAW: law} for law in chosen), *entered]:
+        check_outputs(base.changed(changes), fmus, folder)
     found = evaluation(base, fmus, folder)
     return SweepPlan(
         base,
