@@ -267,9 +267,8 @@ def test_a_controller_without_a_choice_of_laws_is_swept_as_it_is(arm, repacked, 
     rename = {"modelDescription.xml": lambda text: text.replace('name="law"', 'name="own_law"')}
     other = repacked(controller, rename)
     (tmp_path / plant.name).write_bytes(plant.read_bytes())
-    scenario = cosim.Scenario(plant={"fmu": plant.name}, controller={"fmu": other.name}).changed(
-        {"run.duration": 0.5, "plant.start.angle_0": 0.1}
-    )
+    files = {"plant.fmu": plant.name, "controller.fmu": other.name}
+    scenario = cosim.Scenario().changed({**files, "run.duration": 0.5, "plant.start.angle_0": 0.1})
     found = sweep(scenario, {"plant.angle_0": [0.1, 0.2]}, fmus=tmp_path, workers=1)
     assert found.plan.laws == (OWN,)
     assert found.kept(OWN).tolist() == [True, True]
