@@ -23,6 +23,8 @@ MOST_POINTS = 2000
 """Draws of each law that are drawn."""
 CLASSES = 10
 """Classes of a parameter whose means are drawn."""
+MOST_TICKS = 6
+"""Numbers on a parameter's axis."""
 SPAN = 30.0
 """Ratio of the largest to the smallest from which on a scale is logarithmic."""
 ENDS = ("#4393c3", "#d6604d")
@@ -67,14 +69,22 @@ def scatter(sweep: Sweep, measure: str) -> Picture:
     for (path, name), axis in zip(plan.names.items(), axes, strict=True):
         x = _positions(sweep, path)
         classes = classes_of(plan.drawn[path], bool(plan.listed(path)), CLASSES)
-        for law in plan.laws:
+        for row, law in enumerate(plan.laws):
             values = sweep.counted(law, measure)
             axis.plot(x[some], values[some], ".", ms=3, alpha=0.35, color=shades[law], zorder=1, rasterized=True)
             centres, means = _of_classes(classes, x), _of_classes(classes, values)
             axis.plot(centres, means, "-o", ms=3, lw=1.8, color=shades[law], label=literal(law), zorder=3)
             lost = x[np.isinf(sweep.ranked(law, measure)) & np.isnan(values)][:MOST_POINTS]
             transform = axis.get_xaxis_transform()
-            axis.plot(lost, np.full(lost.size, 0.985), "x", ms=4, color=shades[law], transform=transform, zorder=4)
+            axis.plot(
+                lost,
+                np.full(lost.size, 0.985 - 0.03 * row),
+                "x",
+                ms=4,
+                color=shades[law],
+                transform=transform,
+                zorder=4,
+            )
         _scale(axis.set_yscale, np.concatenate([sweep.counted(law, measure) for law in plan.laws]))
         _name_axis(axis, sweep, path, name)
     for axis in axes[::COLUMNS]:
@@ -187,8 +197,12 @@ def _name_axis(axis: Any, sweep: Sweep, path: str, name: str) -> None:
     listed = sweep.plan.listed(path)
     if listed and sweep.plan.values(path).dtype.kind not in "if":
         axis.set_xticks(range(len(listed)), [literal(str(value)) for value in listed])
+    elif listed and len(listed) <= MOST_TICKS:
+        axis.set_xticks(listed)
     elif sweep.plan.logarithmic(path):
         axis.set_xscale("log")
+    else:
+        axis.locator_params(axis="x", nbins=MOST_TICKS)
 
 
 @QUIET
