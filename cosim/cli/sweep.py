@@ -12,7 +12,7 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, say_notes, show_table, staged_progress
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .options import SCENARIO_HELP, ClusterOption, FmusOption, SetOption, WorkersOption, assignments, workers_at
 
 
 class Method(StrEnum):
@@ -62,7 +62,8 @@ def sweep(
         ),
     ] = None,
     worst: Annotated[int, typer.Option(min=0, help="Worst draws of each law that are written as scenarios.")] = 3,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write to; none: `results/sweep_NAME`.")
     ] = None,
@@ -97,8 +98,9 @@ def sweep(
     target = output or Path("results") / f"sweep_{loaded_scenario.name}"
     check_replaceable(*(target / name for name in written_files(plan.laws, worst)))
     say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
-    with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
-        found = run_sweep(plan, journal, workers, lambda done, total: report("co-simulation", done, total))
+    journaled = Journal(target / "runs.sqlite", PURPOSE)
+    with workers_at(workers, cluster) as where, journaled as journal, staged_progress() as report:
+        found = run_sweep(plan, journal, where, lambda done, total: report("co-simulation", done, total))
     paths = save(found, target, metric[0] if metric else None, worst)
     for title, headings, rows in tables(found, metric):
         show_table(title, headings, rows)

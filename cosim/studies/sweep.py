@@ -19,7 +19,7 @@ from ihc_fmu.arguments import check_among
 from ..metric_meanings import MetricMeaning
 from ..scenario import Scenario, load_located
 from .comparison import UNSTEADY
-from .engine import run_numbers
+from .engine import Workers, run_numbers
 from .estimates import MeanEstimate, Share, change, mean, rms_change, root_mean_square
 from .jobs import Job
 from .journal import Journal
@@ -38,8 +38,8 @@ QUANTILES = (0.05, 0.5, 0.95)
 Progress = Callable[[int, int], None]
 
 
-def run_sweep(plan: SweepPlan, journal: Journal, workers: int | None = None, progress: Progress | None = None) -> Sweep:
-    """Run a plan, in `workers` threads (None: one per core); finished runs come from and go to `journal`.
+def run_sweep(plan: SweepPlan, journal: Journal, workers: Workers = None, progress: Progress | None = None) -> Sweep:
+    """Run a plan in `workers` threads (None: one per core), or on a cluster; finished runs come from and go to `journal`.
 
     `progress(done, total)` counts runs. Raises as `engine.run_numbers`.
     """
@@ -81,7 +81,7 @@ def sweep(
     seed: int = 1,
     fmus: FilePath = "fmus",
     journal: FilePath | None = None,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Progress | None = None,
 ) -> Sweep:
     """Draw a scenario's entries many times and run it with each law on the same draws.
@@ -107,7 +107,7 @@ def sweep(
     journal
         File that finished runs are kept in, so that a repetition goes on from there; None: they are not kept.
     workers
-        Threads; None: one per core.
+        Threads, or a cluster; None: a thread per core.
     progress
         Is called with the runs that are done and all of them.
 
