@@ -21,7 +21,7 @@ from ihc_fmu.pendulum.start_values import design_values
 from .. import parameter_files
 from ..fmu import FmuError
 from ..judged_signals import kept_upright, overflow
-from ..metric_meanings import is_pendulum
+from ..metric_meanings import MetricMeaning, is_pendulum
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
 from ..names import is_plain
 from ..report.charts import Plots
@@ -43,6 +43,9 @@ FMUS = Path("fmus")
 
 PATIENCE = 0.1
 """Seconds that a run goes on though it is not wanted any more, so that something is seen while a slider moves."""
+
+UNTOLD = ("trend", "captures")
+"""Metrics that are not in the table: what they say is said in a sentence, or in its last row."""
 
 USUAL = ("LC", "IHC")
 """The laws that are shown at first."""
@@ -187,25 +190,27 @@ def _seen(results: Mapping[str, Result], seconds: float) -> Outcome:
         chart |= {"text": plots.text(of), "remark": of.remark}
     base, *others = results
     quantities = metrics[base].quantities
+    table = zip(quantities.values(), side_by_side(list(metrics.values())), strict=True)
     rows = [
-        [*row, *(_change(metrics[law], metrics[base], name) for law in others)]
-        for row, name in zip(side_by_side(list(metrics.values())), quantities, strict=True)
+        [*row, *(_change(metrics[law], metrics[base], q) for law in others)]
+        for q, row in table
+        if q.role not in UNTOLD
     ]
     kept = ("yes" if kept_upright(result) else "no" for result in results.values())
     rows.append(["kept upright" if is_pendulum(quantities) else "acting to the end", *kept, *("" for _ in others)])
     notes = [f"{law}: {text}" for law, result in results.items() for text in overflow(result)]
     notes += [f"* {law}: {why}" for law, m in metrics.items() if (why := unsteady(m))]
+    if any(result.metadata["engine"] == "fmpy" for result in results.values()):
+        notes.append("an FMU in Python, or for model exchange, answers slowly")
     headings = ["", *results, *(f"{law} over {base}" for law in others)]
     return Outcome(drawn, headings, rows, notes, seconds)
 
 
-def _change(metrics: Metrics, base: Metrics, name: str) -> str:
+def _change(metrics: Metrics, base: Metrics, q: MetricMeaning) -> str:
     """Return by which part a metric lies above the base's; empty where that says nothing."""
-    q, value, below = metrics.quantities[name], metrics.values[name], base.values[name]
-    comparable = q.role not in ("trend", "capture", "captures") and (
-        not q.of_window or (metrics.steady and base.steady)
-    )
-    if not comparable or not below > q.zero or math.isnan(value):
+    value, below = metrics.values[q.name], base.values[q.name]
+    unsteady_window = q.of_window and not (metrics.steady and base.steady)
+    if q.role == "capture" or unsteady_window or math.isnan(value) or not below > q.zero:
         return ""
     return change_text(MeanEstimate(value / below - 1.0))
 

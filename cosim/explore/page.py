@@ -25,6 +25,9 @@ from .exploration import Exploration, NotWantedError, pictures_of
 THROTTLE = 0.02
 """Seconds between two values of a slider that moves."""
 
+SLOW = 0.3
+"""Seconds of a run from which on the page says that the next one computes."""
+
 FAILURES = (UserError, SimulationError, FmuError)
 """What is said on the page in a sentence."""
 
@@ -68,7 +71,7 @@ class Desk:
     def __init__(self, exploration: Exploration) -> None:
         self.exploration = exploration
         self.wanted = self.drawn = 0
-        self.busy = False
+        self.busy, self.seconds = False, 0.0
 
     def build(self) -> None:
         """Make the page's elements and begin to compute."""
@@ -79,12 +82,12 @@ class Desk:
                 self._settings()
             with ui.element("div"):
                 self.problem = ui.label().classes("problem").props("role=alert")
-                with ui.element("div").classes("seen"):
+                with ui.element("div").classes("seen") as self.seen:
                     with ui.element("section").props('aria-label="Metrics"'):
-                        self.table = ui.html(sanitize=False)
+                        with ui.element("div").classes("scroll").props("tabindex=0"):
+                            self.table = ui.html(sanitize=False)
                         self.notes = ui.label().classes("note")
-                    with ui.element("section").props('aria-label="Maps"'):
-                        self._maps()
+                    self._maps()
                     self.plots = Plots()
                 self._writing()
         ui.timer(0.0, self.refresh, once=True)
@@ -165,9 +168,12 @@ class Desk:
         await self.refresh()
 
     def _maps(self) -> None:
-        for path in pictures_of(self.exploration.base):
-            ui.image(path).props(f'alt="{escape(str(path))}" fit=contain')
-            ui.label(str(path)).classes("note")
+        pictures = pictures_of(self.exploration.base)
+        if pictures:
+            with ui.element("section").props('aria-label="Maps"'):
+                for path in pictures:
+                    ui.image(path).props(f'alt="{escape(str(path))}" fit=contain')
+                    ui.label(str(path)).classes("note")
 
     def _writing(self) -> None:
         def write() -> None:
@@ -198,14 +204,18 @@ class Desk:
             self.busy = False
 
     async def _computed(self, number: int) -> None:
+        if self.seconds > SLOW:
+            self.notes.text = "computing …"
         try:
             outcome = await asyncio.to_thread(self.exploration.outcome, lambda: number == self.wanted)
         except NotWantedError:
             return
         except FAILURES as error:
             self.problem.text = str(error)
+            self.seen.classes(add="earlier")
             return
-        self.problem.text = ""
+        self.problem.text, self.seconds = "", outcome.seconds
+        self.seen.classes(remove="earlier")
         self.table.content = _table(outcome.headings, outcome.rows)
         self.notes.text = "; ".join([*outcome.notes, f"computed in {1e3 * outcome.seconds:.0f} ms"])
         self.plots.run_method("draw", number, outcome.drawn)
