@@ -33,7 +33,7 @@ from ..scenario_system import controller_values
 from ..studies.estimates import MeanEstimate, change_text
 from ..studies.experiments import LAW, check_outputs, laws_of
 from ..tables import side_by_side
-from .adjustables import MU, SCALE, Group, groups_of, pendulum_design, with_disturbance
+from .adjustables import MU, SCALE, groups_of, pendulum_design, with_disturbance
 
 MOST_ROWS = 1200
 """Of a curve: two for each of some hundred columns of pixels, the smallest and the largest value in them."""
@@ -192,9 +192,7 @@ def _seen(results: Mapping[str, Result], seconds: float) -> Outcome:
     quantities = metrics[base].quantities
     table = zip(quantities.values(), side_by_side(list(metrics.values())), strict=True)
     rows = [
-        [*row, *(_change(metrics[law], metrics[base], q) for law in others)]
-        for q, row in table
-        if q.role not in UNTOLD
+        [*row, *(_change(metrics[law], metrics[base], q) for law in others)] for q, row in table if q.role not in UNTOLD
     ]
     kept = ("yes" if kept_upright(result) else "no" for result in results.values())
     rows.append(["kept upright" if is_pendulum(quantities) else "acting to the end", *kept, *("" for _ in others)])

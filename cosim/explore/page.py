@@ -1,4 +1,4 @@
-"""The page: sliders in groups, the curves and metrics of the laws beside them, maps, and a button that writes the scenario."""
+"""The page: sliders in groups, beside them curves and metrics of the laws and maps, a button that writes the scenario."""
 
 from __future__ import annotations
 
@@ -97,12 +97,16 @@ class Desk:
         if len(self.exploration.laws) > 1:
             with ui.element("div").props('role=group aria-label="Laws"'):
                 for law in self.exploration.laws:
-                    ui.checkbox(
-                        law, value=law in self.exploration.shown, on_change=lambda e, law=law: self._show(law, e.value)
-                    )
+                    self._law(law)
         ui.button("reset", on_click=self._reset).props("outline dense no-caps")
         for group in self.exploration.groups:
             self._group(group)
+
+    def _law(self, law: str) -> None:
+        async def change(event: Any) -> None:
+            await self._show(law, event.value)
+
+        ui.checkbox(law, value=law in self.exploration.shown, on_change=change).props["aria-label"] = law
 
     def _group(self, group: Group) -> None:
         if group.folded:
@@ -125,9 +129,8 @@ class Desk:
         async def change(event: Any) -> None:
             await self._set(choice, event.value)
 
-        ui.select(dict(choice.items), label=choice.name, value=value, on_change=change).props(
-            f'dense options-dense title="{escape(choice.meaning)}"'
-        )
+        field = ui.select(dict(choice.items), label=choice.name, value=value, on_change=change)
+        field.props("dense options-dense").props["title"] = choice.meaning
 
     def _slider(self, of: Slider, value: float) -> None:
         async def typed(event: Any) -> None:
@@ -144,7 +147,7 @@ class Desk:
                 await self._set(of, number)
 
         field = ui.number(of.label, value=of.number(value), on_change=typed, step=of.step)
-        field.props(f'dense debounce=300 title="{escape(of.meaning)}"')
+        field.props("dense debounce=300").props["title"] = of.meaning
         lever = Lever(of, value, moved)
 
     async def _set(self, member: Adjustable, value: Any) -> None:
@@ -172,7 +175,7 @@ class Desk:
         if pictures:
             with ui.element("section").props('aria-label="Maps"'):
                 for path in pictures:
-                    ui.image(path).props(f'alt="{escape(str(path))}" fit=contain')
+                    ui.image(path).props("fit=contain").props["alt"] = str(path)
                     ui.label(str(path)).classes("note")
 
     def _writing(self) -> None:

@@ -119,6 +119,7 @@ class Tab:
         self.process = subprocess.Popen(
             [BROWSER, *options, *sizes, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
+        self.open = contextlib.ExitStack()
         self.said: list[str] = []
         self.asked: list[str] = []
         self.count = 0
@@ -126,7 +127,7 @@ class Tab:
             port = self._until(lambda: (profile / "DevToolsActivePort").read_text().split()[0], OSError, IndexError)
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as listed:
                 target = next(one for one in json.load(listed) if one["type"] == "page")
-            self.socket = connect(target["webSocketDebuggerUrl"], max_size=None)
+            self.socket = self.open.enter_context(connect(target["webSocketDebuggerUrl"], max_size=None))
             for domain in ("Page", "Runtime", "Network", "Log"):
                 self.do(f"{domain}.enable")
             self.do("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
@@ -146,6 +147,7 @@ class Tab:
         with contextlib.suppress(Exception):
             self.do("Browser.close")
             self.process.wait(timeout=10)
+            self.open.close()
         self.process.kill()
         self.process.wait(timeout=30)
 
