@@ -28,6 +28,9 @@ from ..wiring import CONTROLLER, PLANT
 MU, SCALE = "design.mu", "design.u_max"
 """What is no entry of a scenario: of the pendulum's design, mu and the scale of P as the largest |k x| on the unit ball."""
 
+HUGE = 1e100
+"""From here on a number stands for none, as the limit of an input that has no limit, and has no slider."""
+
 STEPS = 200
 """Of a slider, about."""
 
@@ -164,7 +167,7 @@ def _member(entry: str, variable: ScalarVariable, value: StartValue, initial: bo
     if variable.type == "Enumeration":
         items = {int(item.value): item.name for item in variable.declaredType.items}  # type: ignore[union-attr]
         return Choice(entry, name, meaning, items.get(value, value), {n: n for n in items.values()})  # type: ignore[call-overload]
-    if variable.type not in ("Real", "Integer") or not isinstance(value, int | float) or not math.isfinite(value):
+    if variable.type not in ("Real", "Integer") or not isinstance(value, int | float) or not abs(value) < HUGE:
         return None
     low = -math.inf if variable.min is None else float(variable.min)
     high = math.inf if variable.max is None else float(variable.max)

@@ -6,8 +6,8 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +19,16 @@ from ihc_fmu.options import Options
 from ihc_fmu.pendulum.start_values import design_values
 
 from .. import parameter_files
+from ..evaluation import evaluation_in
 from ..fmu import FmuError
 from ..judged_signals import kept_upright, overflow
 from ..metric_meanings import MetricMeaning, is_pendulum
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
 from ..names import is_plain
+from ..prepared import Prepared
 from ..report.charts import Plots
 from ..results import Result, SimulationError
+from ..rig import Progress
 from ..scenario import Scenario
 from ..scenario_files import files
 from ..scenario_run import run_scenario, with_tolerances
@@ -33,6 +36,7 @@ from ..scenario_system import controller_values
 from ..studies.estimates import MeanEstimate, change_text
 from ..studies.experiments import LAW, check_outputs, laws_of
 from ..tables import side_by_side
+from ..wiring import CONTROLLER
 from .adjustables import MU, SCALE, groups_of, pendulum_design, with_disturbance
 
 MOST_ROWS = 1200
@@ -80,20 +84,26 @@ class Exploration:
         self.shown = [law for law in self.laws if law in USUAL] or self.laws[:2]
         self.design = pendulum_design(scenario, fmus, folder)
         self.base = with_disturbance(with_tolerances(scenario, fmus, folder), fmus, folder)
-        self.groups = groups_of(self.base, fmus, folder, self.design, self._peak())
         self.values: dict[str, Any] = {}
-        self.closed = threading.Event()
-        self._pool = ThreadPoolExecutor(max(1, len(self.laws)))
+        self._closed, self._busy, self._pool = threading.Event(), threading.Lock(), ThreadPoolExecutor(len(self.laws))
+        self._prepared = {law: Prepared(_with_law(self.base, law), fmus, folder) for law in self.laws}
         self._designs: dict[float, Design] = {}
+        peak, self._slow = self._first_run()
+        self.groups = groups_of(self.base, fmus, folder, self.design, peak)
 
-    def _peak(self) -> float:
-        """Return the largest control of a run as the scenario stands; 0 where it cannot be run."""
+    def _first_run(self) -> tuple[float, bool]:
+        """Return the largest control of a run as the scenario stands, 0 where that fails; and whether Python runs it."""
         try:
-            metrics = evaluate(run_scenario(self.base, self.fmus, self.folder))
-        except (UserError, SimulationError, FmuError):
-            return 0.0
+            result = run_scenario(self.base, self.fmus, self.folder)
+        except (SimulationError, FmuError):
+            return 0.0, False
+        metrics = evaluate(result)
         peaks = [metrics.values[q.name] for q in metrics.quantities.values() if q.role == "peak"]
-        return next((peak for peak in peaks if math.isfinite(peak)), 0.0)
+        return next((peak for peak in peaks if math.isfinite(peak)), 0.0), result.metadata["engine"] == "fmpy"
+
+    def end(self) -> None:
+        """Let what runs end soon; nothing is run any more."""
+        self._closed.set()
 
     def scenario(self) -> tuple[Scenario, Design | None]:
         """Return the scenario as it is set, and the design that its controller then has where that is not its own."""
@@ -117,23 +127,33 @@ class Exploration:
 
         Raises UserError, SimulationError and FmuError as a run, and NotWantedError soon after `wanted` says no.
         """
+        with self._busy:
+            begin = time.monotonic()
+
+            def progress(_done: int, _total: int) -> None:
+                late = time.monotonic() - begin > PATIENCE and not wanted()
+                if late or self._closed.is_set():
+                    raise NotWantedError
+
+            results = self._run(self.shown, self._changes(), progress)
+            return _seen(results, time.monotonic() - begin, self._slow)
+
+    def _changes(self) -> dict[str, Any]:
+        """Return what is set as changes of the scenario, a design by the start values that it decides."""
         scenario, design = self.scenario()
-        if design is not None:
-            own = scenario.controller.start
-            limit = {**controller_values(scenario, self.fmus, self.folder), **own}["voltage_limit"]
-            start = {**design_values(design, None, float(limit)), **own}
-            scenario = scenario.changed({"controller.start": start, "controller.design": None})
-        choices = {law: scenario.changed({LAW: law}) if law else scenario for law in self.shown}
-        begin = time.monotonic()
+        values = {name: value for name, value in self.values.items() if name not in (MU, SCALE)}
+        if design is None:
+            return values
+        own = scenario.controller.start
+        limit = {**controller_values(scenario, self.fmus, self.folder), **own}["voltage_limit"]
+        start = {**design_values(design, None, float(limit)), **own}
+        return {f"{CONTROLLER}.start.{name}": value for name, value in start.items()} | values
 
-        def progress(_done: int, _total: int) -> None:
-            late = time.monotonic() - begin > PATIENCE and not wanted()
-            if late or self.closed.is_set():
-                raise NotWantedError
-
-        results = run_side_by_side(self._pool, choices, self.fmus, self.folder, progress)
-        results = {law or scenario.name: result for law, result in results.items()}
-        return _seen(results, time.monotonic() - begin)
+    def _run(self, laws: Sequence[str], changes: Mapping[str, Any], progress: Progress) -> dict[str, Result]:
+        """Run the laws at the same time; return their results, or raise what the first one raises when all have ended."""
+        running = {law: self._pool.submit(self._prepared[law].run, changes, progress) for law in laws}
+        wait(running.values())
+        return {law or self.base.name: _named(future.result(), law) for law, future in running.items()}
 
     def write(self, name: str, folder: Path = Path()) -> str:
         """Write the scenario as it is set to the folder, with what lies beside it; return in a sentence how it is run.
@@ -159,15 +179,6 @@ class Exploration:
         return f"wrote {(folder / stem).absolute()}.toml; it runs by: qube-ihc run {stem}.toml{elsewhere}"
 
 
-def run_side_by_side(
-    pool: Executor, scenarios: Mapping[str, Scenario], fmus: Path, folder: Path, progress: Callable[[int, int], None]
-) -> dict[str, Result]:
-    """Run scenarios at the same time; return the results by name, or raise what the first one raises when all have ended."""
-    running = {name: pool.submit(run_scenario, one, fmus, folder, progress) for name, one in scenarios.items()}
-    wait(running.values())
-    return {name: future.result() for name, future in running.items()}
-
-
 def pictures_of(scenario: Scenario, results: Path = Path("results")) -> list[Path]:
     """Return the pictures of the scenario's maps and tunings that lie in the results."""
     return [path for kind in ("region", "tune") for path in sorted((results / f"{kind}_{scenario.name}").glob("*.png"))]
@@ -181,7 +192,17 @@ def _laws(scenario: Scenario, fmus: Path, folder: Path) -> list[str]:
         return [""]
 
 
-def _seen(results: Mapping[str, Result], seconds: float) -> Outcome:
+def _with_law(scenario: Scenario, law: str) -> Scenario:
+    return scenario.changed({LAW: law}) if law else scenario
+
+
+def _named(result: Result, law: str) -> Result:
+    """Return a result with its law, which decides colours, and without the norm, which is not recorded."""
+    judged = evaluation_in(result).model_copy(update={"norm": None})
+    return replace(result, judged_by=judged, metadata={"start_values": {CONTROLLER: {"law": law}}, **result.metadata})
+
+
+def _seen(results: Mapping[str, Result], seconds: float, slow: bool) -> Outcome:
     metrics = evaluate_alike(results)
     plots = Plots(results)
     plots.add_judged()
@@ -198,7 +219,7 @@ def _seen(results: Mapping[str, Result], seconds: float) -> Outcome:
     rows.append(["kept upright" if is_pendulum(quantities) else "acting to the end", *kept, *("" for _ in others)])
     notes = [f"{law}: {text}" for law, result in results.items() for text in overflow(result)]
     notes += [f"* {law}: {why}" for law, m in metrics.items() if (why := unsteady(m))]
-    if any(result.metadata["engine"] == "fmpy" for result in results.values()):
+    if slow:
         notes.append("an FMU in Python, or for model exchange, answers slowly")
     headings = ["", *results, *(f"{law} over {base}" for law in others)]
     return Outcome(drawn, headings, rows, notes, seconds)

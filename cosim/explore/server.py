@@ -92,13 +92,13 @@ def serve(exploration: Exploration, place: socket.socket, *, browser: bool, read
     install(app, exploration)
     app.add_middleware(Guard, port=port)  # type: ignore[arg-type]
     config = uvicorn.Config(app, log_level="error", timeout_graceful_shutdown=GRACE, ws_per_message_deflate=False)
-    server = _Server(config, lambda: _told(address, browser, ready), exploration.closed.set)
+    server = _Server(config, lambda: _told(address, browser, ready), exploration.end)
     try:
         server.run(sockets=[place])
     except KeyboardInterrupt:  # uvicorn has ended by it, and hands it on
         pass
     finally:
-        exploration.closed.set()
+        exploration.end()
         place.close()
 
 

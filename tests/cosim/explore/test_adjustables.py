@@ -64,7 +64,6 @@ def test_any_plants_states_and_inputs_are_found(arm):
     groups = groups_of(disturbed, arm, None, pendulum_design(scenario, arm, None), 3.0)
     assert [g.title for g in groups if not g.folded] == [
         "controller",
-        "estimator",
         "initial state",
         "disturbance",
         "run",

@@ -54,7 +54,7 @@ def test_a_slider_moves_the_curves_and_the_metrics_of_the_ihc(tab):
     assert cells[0] == ["", "LC", "IHC", "IHC over LC"]
     assert [row[1] for row in cells] == [row[1] for row in other_cells]  # the LC has no a_min
     assert [row[2] for row in cells[1:4]] != [row[2] for row in other_cells[1:4]]
-    assert len(curves) == 5
+    assert len(curves) == 4
     assert all(a != b for a, b in zip(curves, other_curves, strict=True))
     assert tab.value("document.querySelector('input[aria-label=a_min][type=number]').value") == "0.05"
     assert (tab.said, [url for url in tab.asked if not url.startswith(("http://127.0.0.1:", "data:"))]) == ([], [])
