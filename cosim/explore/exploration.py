@@ -222,7 +222,7 @@ def _seen(results: Mapping[str, Result], seconds: float, slow: bool) -> Outcome:
     if slow:
         notes.append("an FMU in Python, or for model exchange, answers slowly")
     headings = ["", *results, *(f"{law} over {base}" for law in others)]
-    return Outcome(drawn, headings, rows, notes, seconds)
+    return Outcome(drawn, headings, rows, [*notes, f"computed in {1e3 * seconds:.0f} ms"], seconds)
 
 
 def _change(metrics: Metrics, base: Metrics, q: MetricMeaning) -> str:

@@ -1,7 +1,19 @@
-// A slider of the browser's own, with its keys and its name for those who hear the page.
+// A number with its name: a field to type it, and a slider of the browser's own, which goes along.
 export default {
-  template: `<input type="range" :min="min" :max="max" :step="step" :value="modelValue"
-    @input="$emit('update:modelValue', Number($event.target.value))" />`,
-  props: { min: Number, max: Number, step: Number, modelValue: Number },
+  template: `<label :title="meaning"><span>{{ label }}</span>
+    <input type="number" :step="step" :value="value" :aria-label="label" @change="take($event.target.value)" />
+    <input type="range" :min="Math.min(min, value)" :max="Math.max(max, value)" :step="step" :value="value"
+      :aria-label="label" @input="take($event.target.value)" /></label>`,
+  props: { label: String, meaning: String, min: Number, max: Number, step: Number, modelValue: Number },
   emits: ["update:modelValue"],
+  data() {
+    return { value: this.modelValue };
+  },
+  methods: {
+    take(text) {
+      if (text === "" || Number(text) === this.value) return;
+      this.value = Number(text);
+      this.$emit("update:modelValue", this.value);
+    },
+  },
 };

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import asdict
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -35,18 +36,18 @@ _REPORT = Path(report.__file__).parent
 _STYLES = ("style.css", "uplot/uPlot.min.css")
 
 
-class Plots(Element, component="plots.js"):
-    """The curves of an outcome."""
+class Seen(Element, component="outcome.js", default_classes="seen"):
+    """What an outcome shows; one message draws all of it."""
 
 
 class Lever(ValueElement[float], component="lever.js", default_classes="lever"):
-    """A slider whose values arrive while it moves; Quasar's has its name where no focus comes."""
+    """A number to be typed or moved; it goes along by itself, and its values arrive while it moves."""
 
-    LOOPBACK = False
+    LOOPBACK = None
 
     def __init__(self, of: Slider, value: float, on_change: Any) -> None:
         super().__init__(value=value, on_value_change=on_change, throttle=THROTTLE)
-        self._props |= {"min": of.low, "max": of.high, "step": of.step, "aria-label": of.label}
+        self._props |= {"label": of.label, "meaning": of.meaning, "min": of.low, "max": of.high, "step": of.step}
 
 
 def install(app: FastAPI, exploration: Exploration) -> None:
@@ -82,13 +83,8 @@ class Desk:
                 self._settings()
             with ui.element("div"):
                 self.problem = ui.label().classes("problem").props("role=alert")
-                with ui.element("div").classes("seen") as self.seen:
-                    with ui.element("section").props('aria-label="Metrics"'):
-                        with ui.element("div").classes("scroll").props("tabindex=0"):
-                            self.table = ui.html(sanitize=False)
-                        self.notes = ui.label().classes("note")
+                with Seen() as self.seen:
                     self._maps()
-                    self.plots = Plots()
                 self._writing()
         ui.timer(0.0, self.refresh, once=True)
 
@@ -133,22 +129,10 @@ class Desk:
         field.props("dense options-dense").props["title"] = choice.meaning
 
     def _slider(self, of: Slider, value: float) -> None:
-        async def typed(event: Any) -> None:
-            if isinstance(event.value, int | float):
-                number = of.number(event.value)
-                if number != self.exploration.values.get(of.entry, of.value):
-                    lever.value = number
-                    await self._set(of, number)
-
         async def moved(event: Any) -> None:
-            number = of.number(event.value)
-            if number != self.exploration.values.get(of.entry, of.value):
-                field.value = number
-                await self._set(of, number)
+            await self._set(of, of.number(event.value))
 
-        field = ui.number(of.label, value=of.number(value), on_change=typed, step=of.step)
-        field.props("dense debounce=300").props["title"] = of.meaning
-        lever = Lever(of, value, moved)
+        Lever(of, of.number(value), moved)
 
     async def _set(self, member: Adjustable, value: Any) -> None:
         if value == member.value:
@@ -208,31 +192,18 @@ class Desk:
 
     async def _computed(self, number: int) -> None:
         if self.seconds > SLOW:
-            self.notes.text = "computing …"
+            self.seen.run_method("say", "computing …")
         try:
             outcome = await asyncio.to_thread(self.exploration.outcome, lambda: number == self.wanted)
         except NotWantedError:
             return
         except FAILURES as error:
             self.problem.text = str(error)
-            self.seen.classes(add="earlier")
+            self.seen.run_method("keep")
             return
         self.problem.text, self.seconds = "", outcome.seconds
-        self.seen.classes(remove="earlier")
-        self.table.content = _table(outcome.headings, outcome.rows)
-        self.notes.text = "; ".join([*outcome.notes, f"computed in {1e3 * outcome.seconds:.0f} ms"])
-        self.plots.run_method("draw", number, outcome.drawn)
+        self.seen.run_method("draw", number, asdict(outcome))
 
 
 def _heading(tag: str, text: str) -> None:
     ui.html(escape(text), tag=tag, sanitize=False)
-
-
-def _table(headings: Any, rows: Any) -> str:
-    """Return a table as HTML; the first cell of a row names it."""
-    head = "".join(f'<th scope="col">{escape(text)}</th>' for text in headings)
-    body = "".join(
-        f'<tr><th scope="row">{escape(name)}</th>{"".join(f"<td>{escape(text)}</td>" for text in cells)}</tr>'
-        for name, *cells in rows
-    )
-    return f'<table class="numbers"><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>'

@@ -408,7 +408,8 @@ const Charts = (() => {
       const whole = range[0] === first && range[1] === last;
       take(data);
       for (const plot of plots) plot.chart = charts[plot.index];
-      zoom(...(whole ? [first, last] : range));
+      if (whole) range = [first, last];
+      else zoom(...range);
       for (const plot of plots) plot.uplot.setData(joined(plot.chart));
     }
 

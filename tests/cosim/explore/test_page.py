@@ -12,7 +12,7 @@ from tests.cosim.command import started
 A_MIN = "document.querySelector('input[type=range][aria-label=a_min]')"
 CELLS = "[...document.querySelectorAll('table.numbers tr')].map(row => [...row.children].map(cell => cell.innerText))"
 CURVES = "[...document.querySelectorAll('.plots canvas')].map(canvas => canvas.toDataURL())"
-DRAWN = "Number(document.querySelector('.plots')?.dataset.drawn)"
+DRAWN = "Number(document.querySelector('.seen')?.dataset.drawn)"
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +90,7 @@ def test_a_value_that_is_refused_is_a_sentence_on_the_page(tab):
     tab.value("document.querySelector('input[aria-label=a_min][type=number]').focus()")
     tab.value("document.execCommand('selectAll')")
     tab.do("Input.insertText", text="-1")
+    tab.value("document.activeElement.blur()")
     assert "a_min must lie in [1e-06, 1e+12]" in tab.wait("document.querySelector('[role=alert]').innerText")
     tab.value("[...document.querySelectorAll('button')].find(one => one.innerText === 'reset').click()")
     tab.wait("document.querySelector('[role=alert]').innerText === ''")
