@@ -40,7 +40,7 @@ class Seen(Element, component="outcome.js", default_classes="seen"):
     """What an outcome shows; one message draws all of it."""
 
 
-class Lever(ValueElement[float], component="lever.js", default_classes="lever"):
+class Lever(ValueElement, component="lever.js", default_classes="lever"):
     """A number to be typed or moved; it goes along by itself, and its values arrive while it moves."""
 
     LOOPBACK = None
