@@ -12,11 +12,13 @@ from fmpy.model_description import ScalarVariable
 from fmu_export.errors import UserError
 from fmu_export.files import FilePath
 from ihc_fmu.design import Design
+from ihc_fmu.pendulum.kalman import KalmanOptions
 
 from .. import wiring
 from ..certified import is_pendulums
 from ..fmu import Instance
 from ..fmu_files import describe, start_values_of
+from ..pendulum import is_controller
 from ..plant_variables import state_pairs
 from ..scenario import Scenario
 from ..scenario_system import build_system, controller_design
@@ -27,6 +29,10 @@ from ..wiring import CONTROLLER, PLANT
 
 MU, SCALE = "design.mu", "design.u_max"
 """What is no entry of a scenario: of the pendulum's design, mu and the scale of P as the largest |k x| on the unit ball."""
+NOISES = {"voltage_noise": "V2.s", "disturbance_noise": "V2/s", "bias_noise": "rad2/s"}
+"""Nor are the noises that decide the gain of the pendulum's Kalman filter, fields of `KalmanOptions`, by their units."""
+KALMAN = "kalman."
+"""How their entries begin."""
 
 HUGE = 1e100
 """From here on a number stands for none, as the limit of an input that has no limit, and has no slider."""
@@ -104,7 +110,7 @@ def groups_of(
     values = {c.name: {**start_values_of(c.path), **c.start} for c in system.components}
     of_controller = list(_parameters(CONTROLLER, system, values))
     law = Group("controller", _design_sliders(design))
-    estimator, further = Group("estimator"), Group("controller, further", folded=True)
+    estimator, further = Group("estimator", _noise_sliders(values)), Group("controller, further", folded=True)
     for variable, member in of_controller:
         name = variable.name
         told = name in scenario.controller.start
@@ -236,6 +242,17 @@ def _design_sliders(design: Design | None) -> list[Adjustable]:
     return [
         slider(MU, "mu", NO_UNIT, "minus the degree of homogeneity; the design is solved anew", design.mu),
         slider(SCALE, "scale of P", "V", "largest |k x| on the unit ball", scale, (1e-3, math.inf), span=(0.5, 10.0)),
+    ]
+
+
+def _noise_sliders(values: Mapping[str, Mapping[str, Any]]) -> list[Adjustable]:
+    if not is_controller(values.get(CONTROLLER, {})):
+        return []
+    usual, meaning = KalmanOptions(), "noise that the Kalman filter assumes; its gain is computed anew"
+    noises = ((name, unit, getattr(usual, name)) for name, unit in NOISES.items())
+    return [
+        slider(KALMAN + name, name, unit, meaning, value, (0.05 * value, math.inf), span=(0.0, 10.0 * value))
+        for name, unit, value in noises
     ]
 
 

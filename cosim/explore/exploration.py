@@ -16,11 +16,13 @@ from fmu_export.errors import UserError
 from ihc_fmu.design import Design
 from ihc_fmu.inverse import inverse_design
 from ihc_fmu.options import Options
-from ihc_fmu.pendulum.start_values import design_values
+from ihc_fmu.pendulum.kalman import KalmanOptions
+from ihc_fmu.pendulum.start_values import design_values, kalman_values
 
 from .. import parameter_files
 from ..evaluation import evaluation_in
 from ..fmu import FmuError
+from ..fmu_files import start_values_of
 from ..judged_signals import kept_upright, overflow
 from ..metric_meanings import MetricMeaning, is_pendulum
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
@@ -32,15 +34,17 @@ from ..rig import Progress
 from ..scenario import Scenario
 from ..scenario_files import files
 from ..scenario_run import run_scenario, with_tolerances
-from ..scenario_system import controller_values
+from ..scenario_system import build_system
 from ..studies.estimates import MeanEstimate, change_text
 from ..studies.experiments import LAW, check_outputs, laws_of
 from ..tables import side_by_side
 from ..wiring import CONTROLLER
-from .adjustables import MU, SCALE, groups_of, pendulum_design, with_disturbance
+from .adjustables import KALMAN, MU, SCALE, groups_of, pendulum_design, with_disturbance
 
 MOST_ROWS = 1200
 """Of a curve: two for each of some hundred columns of pixels, the smallest and the largest value in them."""
+
+START = f"{CONTROLLER}.start."
 
 FMUS = Path("fmus")
 """Where `run` looks for FMUs unless it is told another folder."""
@@ -85,6 +89,9 @@ class Exploration:
         self.design = pendulum_design(scenario, fmus, folder)
         self.base = with_disturbance(with_tolerances(scenario, fmus, folder), fmus, folder)
         self.values: dict[str, Any] = {}
+        components = build_system(self.base, fmus, folder).components
+        started = (c for c in components if c.name == CONTROLLER)
+        self._controller = next(({**start_values_of(c.path), **c.start} for c in started), {})
         self._closed, self._busy, self._pool = threading.Event(), threading.Lock(), ThreadPoolExecutor(len(self.laws))
         self._prepared = {law: Prepared(_with_law(self.base, law), fmus, folder) for law in self.laws}
         self._designs: dict[float, Design] = {}
@@ -107,13 +114,26 @@ class Exploration:
 
     def scenario(self) -> tuple[Scenario, Design | None]:
         """Return the scenario as it is set, and the design that its controller then has where that is not its own."""
-        values = {name: value for name, value in self.values.items() if name not in (MU, SCALE)}
-        scenario = self.base.changed(values)
+        scenario = self.base.changed(self._entries())
         mu, scale = (self.values.get(name) for name in (MU, SCALE))
         if self.design is None or (mu is None and scale is None):
             return scenario, None
         solved = self.design if mu is None else self._solved(mu)
         return scenario, solved.scaled_to(u_max=float(self.design.u_max[0]) if scale is None else scale)
+
+    def _entries(self) -> dict[str, Any]:
+        """Return the entries of the scenario that are set, noises by the Kalman filter's gain; without a design's."""
+        noises = {name.removeprefix(KALMAN): v for name, v in self.values.items() if name.startswith(KALMAN)}
+        entries = {
+            name: v for name, v in self.values.items() if name not in (MU, SCALE) and not name.startswith(KALMAN)
+        }
+        if not noises:
+            return entries
+        own = {name.removeprefix(START): value for name, value in entries.items() if name.startswith(START)}
+        known = {**self._controller, **own}
+        nominal = {name: value for name, value in known.items() if name.startswith("nominal_")}
+        gain = kalman_values(nominal, float(known["sample_time"]), KalmanOptions(**noises))
+        return {f"{START}{name}": value for name, value in gain.items()} | entries
 
     def _solved(self, mu: float) -> Design:
         """Return the design with another mu, for the same linear controller and decay."""
@@ -141,13 +161,11 @@ class Exploration:
     def _changes(self) -> dict[str, Any]:
         """Return what is set as changes of the scenario, a design by the start values that it decides."""
         scenario, design = self.scenario()
-        values = {name: value for name, value in self.values.items() if name not in (MU, SCALE)}
         if design is None:
-            return values
+            return self._entries()
         own = scenario.controller.start
-        limit = {**controller_values(scenario, self.fmus, self.folder), **own}["voltage_limit"]
-        start = {**design_values(design, None, float(limit)), **own}
-        return {f"{CONTROLLER}.start.{name}": value for name, value in start.items()} | values
+        start = {**design_values(design, None, float({**self._controller, **own}["voltage_limit"])), **own}
+        return {f"{START}{name}": value for name, value in start.items()} | self._entries()
 
     def _run(self, laws: Sequence[str], changes: Mapping[str, Any], progress: Progress) -> dict[str, Result]:
         """Run the laws at the same time; return their results, or raise what the first one raises when all have ended."""

@@ -51,7 +51,14 @@ def test_mu_and_the_scale_of_p_are_the_ihcs_alone(explored):
     assert [ihc != other for (_, ihc), (_, other) in pairs] == [True] * len(pairs)
 
 
-@pytest.mark.parametrize("values", [{"controller.start.a_min": 0.3, "run.seed": 7}, {MU: 0.7, SCALE: 2.0}])
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"controller.start.a_min": 0.3, "run.seed": 7},
+        {MU: 0.7, SCALE: 2.0, "controller.start.voltage_limit": 8.0},
+        {"kalman.disturbance_noise": 0.6},
+    ],
+)
 def test_what_is_written_runs_to_the_same(values, explored, fmus, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     set_up = explored("tilt_kalman")
@@ -60,6 +67,9 @@ def test_what_is_written_runs_to_the_same(values, explored, fmus, tmp_path, monk
     assert set_up.write("mine.toml").endswith(f"it runs by: qube-ihc run mine.toml --fmus {fmus}")
     metrics = cosim.evaluate(cosim.run("mine.toml", fmus=fmus))
     ihc = {row[0]: row[2] for row in outcome.rows}
+    set_up.values.clear()
+    assert [row[2] for row in shown(set_up).rows] != [row[2] for row in outcome.rows]
+    set_up.values |= values
     assert ihc["∫|q|² dt [rad² s]"] == f"{metrics.integral_q2:.4g}"
     assert set_up.write("mine")  # its own file is replaced
 
