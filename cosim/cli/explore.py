@@ -36,15 +36,15 @@ def explore(
     from ..scenario import load_located
     from ..scenario_system import build_system
 
-    place = listening(port)
-    loaded, folder, fmus = load_located(scenario, fmus)
-    loaded = loaded.changed(dict(assignments(change)))
-    say_notes(remarks_before(build_system(loaded, fmus, folder), loaded))
-    with problems.status("running the scenario"):
-        exploration = Exploration(loaded, folder, fmus, unpacked=Path(scenario).suffix == ssp.SUFFIX)
-    serve(
-        exploration,
-        place,
-        browser=browser,
-        ready=lambda address: console.print(f"{escaped(loaded.name)} on {address}; Ctrl-C ends it", soft_wrap=True),
-    )
+    with listening(port) as place:
+        loaded, folder, fmus = load_located(scenario, fmus)
+        loaded = loaded.changed(dict(assignments(change)))
+        say_notes(remarks_before(build_system(loaded, fmus, folder), loaded))
+        with problems.status("running the scenario"):
+            exploration = Exploration(loaded, folder, fmus, unpacked=Path(scenario).suffix == ssp.SUFFIX)
+        serve(
+            exploration,
+            place,
+            browser=browser,
+            ready=lambda address: console.print(f"{escaped(loaded.name)} on {address}; Ctrl-C ends it", soft_wrap=True),
+        )

@@ -99,7 +99,6 @@ def serve(exploration: Exploration, place: socket.socket, *, browser: bool, read
         pass
     finally:
         exploration.end()
-        place.close()
 
 
 def _told(address: str, browser: bool, ready: Callable[[str], None]) -> None:
