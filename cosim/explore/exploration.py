@@ -92,10 +92,13 @@ class Exploration:
         components = build_system(self.base, fmus, folder).components
         started = (c for c in components if c.name == CONTROLLER)
         self._controller = next(({**start_values_of(c.path), **c.start} for c in started), {})
-        self._closed, self._busy, self._pool = threading.Event(), threading.Lock(), ThreadPoolExecutor(len(self.laws))
+        self._closed, self._busy = threading.Event(), threading.Lock()
         self._prepared = {law: Prepared(_with_law(self.base, law), fmus, folder) for law in self.laws}
         self._designs: dict[float, Design] = {}
         peak, self._slow = self._first_run()
+        self._pool = ThreadPoolExecutor(
+            1 if self._slow else len(self.laws)
+        )  # Python runs one at a time, two in turns slower
         self.groups = groups_of(self.base, fmus, folder, self.design, peak)
 
     def _first_run(self) -> tuple[float, bool]:
@@ -168,7 +171,7 @@ class Exploration:
         return {f"{START}{name}": value for name, value in start.items()} | self._entries()
 
     def _run(self, laws: Sequence[str], changes: Mapping[str, Any], progress: Progress) -> dict[str, Result]:
-        """Run the laws at the same time; return their results, or raise what the first one raises when all have ended."""
+        """Run the laws, at the same time where C runs them; return their results, or raise what the first one raises."""
         running = {law: self._pool.submit(self._prepared[law].run, changes, progress) for law in laws}
         wait(running.values())
         return {law or self.base.name: _named(future.result(), law) for law, future in running.items()}
