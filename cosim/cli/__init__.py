@@ -18,6 +18,7 @@ from .demo import demo
 from .design import design
 from .device import device
 from .display import console, degrade_output, say_error, say_fault
+from .explore import explore
 from .export import export
 from .hil import hil
 from .identify import identify
@@ -60,6 +61,7 @@ for _command in (
     compare,
     sweep,
     tune,
+    explore,
     paper,
     demo,
     hil,
