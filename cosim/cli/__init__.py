@@ -26,6 +26,7 @@ from .new import new
 from .options import FAILED
 from .overlay import overlay
 from .paper import paper
+from .region import region
 from .replay import replay
 from .run import run
 from .ssp import ssp
@@ -41,9 +42,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
     help="From a linear controller to an implicit homogeneous one: **linearize** a plant, **design** with a proof, "
-    "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **tune** the controller; "
-    "**new** begins with a plant of your own. Built in is the QUBE-Servo 2: **demo** does all of it, **paper** repeats the "
-    "paper's experiments, **hil** runs the controller on the device.",
+    "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **tune** the controller, "
+    "map the **region** that it attracts; **new** begins with a plant of your own. Built in is the QUBE-Servo 2: **demo** "
+    "does all of it, **paper** repeats the paper's experiments, **hil** runs the controller on the device.",
 )
 
 OUTPUT_LOST = (errno.ENOSPC, errno.EIO)
@@ -58,6 +59,7 @@ for _command in (
     run,
     compare,
     tune,
+    region,
     paper,
     demo,
     hil,

@@ -32,9 +32,7 @@ def entry_of(name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | N
     return f"{section}.{START}.{variable}"
 
 
-def variable_of(
-    name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None
-) -> ScalarVariable | None:
+def variable_of(name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> ScalarVariable | None:
     """Return the FMU's variable whose start value an entry is; None for another entry. Raises as `entry_of`."""
     component, variable = _parted(name, scenario)
     return None if component is None else _variable(component, variable, scenario, fmus, folder)
@@ -50,14 +48,16 @@ def _parted(name: str, scenario: Scenario) -> tuple[str | None, str]:
     part = scenario.parts.get(head)
     if part is None:
         known = (*scenario.parts, *(field for field in type(scenario).model_fields if field not in (CONTROLLER, PLANT)))
-        raise UserError(f"the scenario has no {shown(head)}, of which {shown(name)} is to be{did_you_mean(head, known)}")
+        raise UserError(
+            f"the scenario has no {shown(head)}, of which {shown(name)} is to be{did_you_mean(head, known)}"
+        )
+    if not rest:
+        raise UserError(f"{shown(name)} is no entry of the scenario, but what has entries")
     variable = rest.removeprefix(f"{START}.")
     return (None, "") if rest in type(part).model_fields and rest != START else (head, variable)
 
 
-def _variable(
-    component: str, name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None
-) -> ScalarVariable:
+def _variable(component: str, name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> ScalarVariable:
     path = files(scenario, fmus, folder).fmus[component]
     check_fmus_exist({component: path})
     known = {v.name: v for v in describe(path).modelVariables}

@@ -113,10 +113,16 @@ class Refinement:
 
         The share that is yes lies between both where the cells with equal corners are all yes or all no.
         """
-        shares = [(cell.size / self.finest) ** self.axes for cell in self.cells]
-        inner = sum(s for s, cell in zip(shares, self.cells, strict=True) if self.all_of(cell))
-        outer = sum(s for s, cell in zip(shares, self.cells, strict=True) if self.any_of(cell))
-        return inner, outer
+        inner = sum(self._share(cell) for cell in self.cells if self.all_of(cell))
+        return inner, sum(self._share(cell) for cell in self.cells if self.any_of(cell))
+
+    @property
+    def share(self) -> float:
+        """The share of the whole that is yes, each cell counted by the share of its corners: the trapezoidal rule."""
+        return sum(self._share(cell) * float(np.mean([self.known[p] for p in cell.corners])) for cell in self.cells)
+
+    def _share(self, cell: Cell) -> float:
+        return (cell.size / self.finest) ** self.axes
 
     def grid(self) -> Array:
         """Return the answers at all points of the lattice, (finest + 1,) * axes: inside a cell those of its corners."""
@@ -145,3 +151,10 @@ class Refinement:
                 corners = low + (high - low) * t.reshape(shape)
             middle[tuple(slice(c, c + cell.size) for c in cell.corner)] = corners
         return middle
+
+    def averaged(self, values: Mapping[Point, float]) -> Array:
+        """Return the mean of the corners' values in each finest cell, (finest,) * axes, that of its cell everywhere."""
+        means = np.zeros((self.finest,) * self.axes)
+        for cell in self.cells:
+            means[tuple(slice(c, c + cell.size) for c in cell.corner)] = np.mean([values[p] for p in cell.corners])
+        return means

@@ -50,9 +50,11 @@ def test_a_thin_ellipse_is_followed_where_a_corner_shows_it(x0, y0, b, turn):
 
 @pytest.mark.parametrize("finest", [8, 16, 32, 64, 128])
 def test_the_area_lies_between_its_bounds_which_close_with_the_cells(finest):
-    inner, outer = refined(ellipse(0.5, 0.5, 0.4, 0.3, 0.7), finest=finest).bounds
-    assert inner < math.pi * 0.4 * 0.3 < outer
+    found, area = refined(ellipse(0.5, 0.5, 0.4, 0.3, 0.7), finest=finest), math.pi * 0.4 * 0.3
+    inner, outer = found.bounds
+    assert inner < area < outer
     assert outer - inner < 6.0 / finest
+    assert abs(found.share - area) < 0.5 / finest
 
 
 def test_the_effort_grows_with_the_boundary_not_with_the_area():
