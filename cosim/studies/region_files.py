@@ -135,7 +135,7 @@ def _maps(region: Region) -> Figure:
         if region.draws:
             panel.pcolormesh(x, y, _shares(found, maps[law]).T, cmap="Greys", vmin=0.0, vmax=1.6, rasterized=True)
         mesh = panel.pcolormesh(x, y, maps[law].T, cmap="viridis_r", vmin=0.0, vmax=latest, rasterized=True)
-        for other, one in region.laws.items():
+        for other, one in sorted(region.laws.items(), key=lambda item: item[0] == law):  # its own above the others
             _boundary(panel, x, y, one, colour[other], own=other == law)
         if region.certified.section is not None and law in CERTIFIED_LAWS:
             panel.plot(*region.certified.section.outline().T, "--", color="black", lw=1.2)

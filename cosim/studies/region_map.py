@@ -10,7 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from ..metric_meanings import MetricMeaning
+from ..evaluation import NO_UNIT
+from ..metric_meanings import MetricMeaning, squared
 from ..scenario import Scenario
 from .certified_section import Certified
 from .numbers import Numbers
@@ -155,7 +156,8 @@ class LawRegion:
         """Number of parts that do not touch, on the lattice of the finest cells."""
         from scipy.ndimage import label  # noqa: PLC0415 - heavy
 
-        return int(label(self.cells.grid())[1])
+        _, count = label(self.cells.grid())  # type: ignore[misc] # for an output of its own
+        return int(count)
 
     @property
     def open_sides(self) -> list[tuple[int, int]]:
@@ -222,8 +224,10 @@ class Region:
     @property
     def unit(self) -> str:
         """The unit of an area, or of a length."""
-        units = [axis.unit or "1" for axis in self.axes]
-        return units[0] if len(units) == 1 else " · ".join(f"({u})" if "/" in u or " " in u else u for u in units)
+        units = [axis.unit for axis in self.axes]
+        if len(set(units)) < len(units):
+            return squared(units[0] or NO_UNIT) or "1"
+        return " · ".join(f"({unit})" if "/" in unit and len(units) > 1 else unit or "1" for unit in units)
 
     def at(self, point: Point) -> tuple[float, ...]:
         """Return the values of the axes at a point of the lattice."""
@@ -263,15 +267,10 @@ class Region:
             unit = self.axes[0].unit
             heads = ["", *(f"{what} [{unit}]" if unit else what for what in ("down to", "up to", "radius")), "runs"]
             return title, heads, [[law, *self._ends(law), str(len(self.laws[law].runs))] for law in self.laws]
-        heads = [
-            "",
-            f"area [{self.unit}]",
-            "of the range",
-            f"over {self._any.law} (bounds)",
-            "runs",
-            "of the full grid",
-        ]
-        return title, heads if len(self.laws) > 1 else [*heads[:3], *heads[4:]], [self._row(law) for law in self.laws]
+        heads = ["", f"area [{self.unit}]", f"over {self._any.law} (bounds)", "runs (of the full grid)"]
+        kept = [0, 1, 2, 3] if len(self.laws) > 1 else [0, 1, 3]
+        rows = [self._row(law) for law in self.laws]
+        return title, [heads[i] for i in kept], [[row[i] for i in kept] for row in rows]
 
     def _ends(self, law: str) -> list[str]:
         line = self.line(law)
@@ -287,12 +286,10 @@ class Region:
     def _row(self, law: str) -> list[str]:
         found = self.laws[law]
         full = (found.cells.finest + 1) ** found.cells.axes * len(found.draws)
-        cells = [with_error(found.area, found.error), f"{100.0 * found.area / found.volume:.3g} %"]
-        if len(self.laws) > 1:
-            value, *ends = (100.0 * change for change in self.change(law, self._any.law))
-            text = "–" if math.isnan(value) else f"{value:+.2g} % ({ends[0]:+.2g} to {ends[1]:+.2g})"
-            cells.append("" if law == self._any.law else text)
-        return [law, *cells, str(len(found.runs)), f"{100.0 * len(found.runs) / full:.2g} %"]
+        value, *ends = (100.0 * change for change in self.change(law, self._any.law))
+        change = "–" if math.isnan(value) else f"{value:+.2g} % ({ends[0]:+.2g} to {ends[1]:+.2g})"
+        runs = f"{len(found.runs)} ({100.0 * len(found.runs) / full:.2g} %)"
+        return [law, with_error(found.area, found.error), "" if law == self._any.law else change, runs]
 
     def remarks(self) -> list[str]:
         """Return what has to be known to read the map, a sentence each."""
@@ -313,8 +310,8 @@ class Region:
                 said.append(f"{law}: the region is in {found.parts} parts that do not touch")
             if found.count("unsettled"):
                 said.append(
-                    f"{law}: in {found.count('unsettled')} runs it acts to the end, but is not settled over the last "
-                    f"{100 * HELD:g} %: not attracted; a longer run.duration or a larger evaluate.tolerance may be wanted"
+                    f"{law}: in {found.count('unsettled')} of {len(found.runs)} runs it acts to the end without having settled "
+                    f"by its last {100 * HELD:g} %: astray, or too slow for run.duration and evaluate.tolerance"
                 )
             if found.count("failed"):
                 said.append(f"{law}: {found.count('failed')} runs were ended by an FMU's error, and are not attracted")
