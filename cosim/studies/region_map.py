@@ -310,8 +310,8 @@ class Region:
                 said.append(f"{law}: the region is in {found.parts} parts that do not touch")
             if found.count("unsettled"):
                 said.append(
-                    f"{law}: in {found.count('unsettled')} of {len(found.runs)} runs it acts to the end without having settled "
-                    f"by its last {100 * HELD:g} %: astray, or too slow for run.duration and evaluate.tolerance"
+                    f"{law}: in {found.count('unsettled')} of {len(found.runs)} runs it acts to the end and has not settled "
+                    f"by the last {100 * HELD:g} %: astray, or too slow for run.duration and evaluate.tolerance"
                 )
             if found.count("failed"):
                 said.append(f"{law}: {found.count('failed')} runs were ended by an FMU's error, and are not attracted")
