@@ -115,16 +115,10 @@ def simulate(
         raise UserError(f"engine must be one of {', '.join(ENGINES)}, found {engine!r}")
     if every < 1:
         raise UserError(f"every must be at least 1, found {every}")
-    coupling = Coupling(system)
+    coupling, engine = coupled(system, engine)
     recorded = coupling.checked_outputs(record)
     check_rows(steps // every + 2, len(recorded), every, folder=None if folder is None else Path(folder))
-    if engine == "auto":
-        engine = "fmpy" if needs_python(coupling.instances) else "native"
     integrated = [name for name, i in coupling.instances.items() if isinstance(i, IntegratedInstance)]
-    if integrated and engine == "native":
-        raise UserError(
-            f"engine must be auto or fmpy where FMUs are run for model exchange, found native and {', '.join(integrated)}"
-        )
     known = {
         "versions": dict(versions()),
         "fmus": {
@@ -147,6 +141,19 @@ def simulate(
         return rig.run(metadata=known, progress=progress)
     finally:
         rig.close()
+
+
+def coupled(system: SystemStructure, engine: Engine) -> tuple[Coupling, Engine]:
+    """Return the coupling of a system and the engine that runs it; raises UserError for what cannot work."""
+    coupling = Coupling(system)
+    integrated = [name for name, i in coupling.instances.items() if isinstance(i, IntegratedInstance)]
+    if integrated and engine == "native":
+        raise UserError(
+            f"engine must be auto or fmpy where FMUs are run for model exchange, found native and {', '.join(integrated)}"
+        )
+    if engine == "auto":
+        engine = "fmpy" if needs_python(coupling.instances) else "native"
+    return coupling, engine
 
 
 def _conversions(system: SystemStructure) -> dict[str, Any]:

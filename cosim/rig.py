@@ -9,6 +9,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from .coupling import Coupling, split
+from .evaluation import Evaluation
 from .fmu import FmuError, Port
 from .interrupts import deferred_interrupt, second_ends
 from .native_loop import Conversion, NativeLoop, Slot
@@ -101,10 +102,10 @@ class _Recorder:
             table[row] = [buffer[index] for buffer, index in self.slots[kind]]
         self.rows = row + 1
 
-    def result(self, metadata: dict[str, Any]) -> Result:
+    def result(self, metadata: dict[str, Any], judged_by: Evaluation | None) -> Result:
         n = self.rows
         columns = {name: table[:n, i] for kind, table in self.tables.items() for i, name in enumerate(self.names[kind])}
-        return Result(self.time[:n], {name: columns[name] for name in self.order}, self.units, metadata)
+        return Result(self.time[:n], {name: columns[name] for name in self.order}, self.units, metadata, judged_by)
 
 
 class Rig:
@@ -137,6 +138,7 @@ class Rig:
         self._loop: NativeLoop | None = None
         self._recording = False
         self._time, self._current = start_time, ""
+        self._judged_by: Evaluation | None = None
 
     def run(
         self,
@@ -144,12 +146,14 @@ class Rig:
         metadata: Mapping[str, Any] | None = None,
         progress: Progress | None = None,
         signals: Sequence[Signal] | None = None,
+        judged_by: Evaluation | None = None,
     ) -> Result:
         """Run once, with the checked start values of each component (None: the coupling's), and other signals on its inputs.
 
         Raises SimulationError and Interrupted with what was recorded.
         """
         about, self._time, self._recording = {"complete": False, **(metadata or {})}, self.start_time, False
+        self._judged_by = judged_by
         if signals is not None:
             self.coupling.drive(signals)
             if self._exchange is not None:
@@ -266,5 +270,5 @@ class Rig:
     def _result(self, metadata: dict[str, Any]) -> Result:
         metadata["messages"] = {n: list(i.messages) for n, i in self.instances.items() if i.messages}
         if self._recorder is None or not self._recording:
-            return Result(np.zeros(0), {}, {}, metadata)
-        return self._recorder.result(metadata)
+            return Result(np.zeros(0), {}, {}, metadata, self._judged_by)
+        return self._recorder.result(metadata, self._judged_by)

@@ -229,8 +229,8 @@ def at_tilt(fmus, **changes):
 def test_units_of_the_plant_are_those_of_the_axes(lever):
     entries = ["plant.start.angle_0", "plant.start.rate_0"]
     degree = math.pi / 180.0
-    wires = [{"from": f"plant.{q}", "to": f"controller.{q}", "factor": degree} for q in ("angle", "rate")]
-    wires += [{"from": "controller.u1", "to": "plant.u1"}]
+    wires = [{"source": f"plant.{q}", "target": f"controller.{q}", "factor": degree} for q in ("angle", "rate")]
+    wires += [{"source": "controller.u1", "target": "plant.u1"}]
     own, turned = levers(), levers(plant__fmu="turned_linear_plant.fmu", wires=wires)
     plain, other = (certified(scenario, lever, None, entries).section for scenario in (own, turned))
     assert plain is not None
