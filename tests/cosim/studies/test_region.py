@@ -58,8 +58,8 @@ def lever(tmp_path_factory):
 
 
 def levers(**changes):
-    named = {"plant": {"fmu": "lever_linear_plant.fmu"}, "controller": {"fmu": "lever_controller.fmu"}}
-    return Scenario(**named).changed({"run.duration": 6.0, **{k.replace("__", "."): v for k, v in changes.items()}})
+    named = {"plant.fmu": "lever_linear_plant.fmu", "controller.fmu": "lever_controller.fmu", "run.duration": 6.0}
+    return Scenario().changed({**named, **{name.replace("__", "."): value for name, value in changes.items()}})
 
 
 # What counts as attracted
