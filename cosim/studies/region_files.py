@@ -143,7 +143,7 @@ def _maps(region: Region) -> Figure:
         panel.set_title(_heading(region, law), fontsize="medium")
         panel.grid(alpha=0.25)
     panels[0].set_ylabel(literal(region.axes[1].label))
-    if mesh is not None:
+    if mesh is not None and times.size:
         figure.colorbar(mesh, ax=list(panels), label="settled from then on [s]", aspect=30, pad=0.02)
     figure.legend(
         handles=_handles(region, colour), loc="outside lower center", ncols=len(region.laws) + 2, frameon=False

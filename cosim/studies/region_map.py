@@ -308,6 +308,10 @@ class Region:
                 said.append(f"{law}: the region goes on beyond {', '.join(sides)}")
             if found.parts > 1:
                 said.append(f"{law}: the region is in {found.parts} parts that do not touch")
+            if found.cells.bounds[0] == 0.0 and found.count("attracted"):
+                said.append(
+                    f"{law}: no cell lies wholly within the region; --coarse and --resolution of more cells show it"
+                )
             if found.count("unsettled"):
                 said.append(
                     f"{law}: in {found.count('unsettled')} of {len(found.runs)} runs it acts to the end and has not settled "
