@@ -124,7 +124,7 @@ def _certified(region: Region) -> dict[str, Any]:
 def _maps(region: Region) -> Figure:
     """Return a panel for each law: settling times inside, boundaries of all laws, the certified ball."""
     colour = colours(region.laws)
-    figure = Figure(figsize=(4.6 * len(region.laws) + 1.2, 4.9), layout="constrained")
+    figure = Figure(figsize=(max(7.0, 4.6 * len(region.laws) + 1.2), 4.9), layout="constrained")
     panels = figure.subplots(1, len(region.laws), sharex=True, sharey=True, squeeze=False)[0]
     maps = {law: found.settling_map for law, found in region.laws.items()}
     times = np.concatenate([m[np.isfinite(m)] for m in maps.values()])
