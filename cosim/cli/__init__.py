@@ -18,6 +18,7 @@ from .demo import demo
 from .design import design
 from .device import device
 from .display import console, degrade_output, say_error, say_fault
+from .explore import explore
 from .export import export
 from .hil import hil
 from .identify import identify
@@ -30,6 +31,7 @@ from .region import region
 from .replay import replay
 from .run import run
 from .ssp import ssp
+from .sweep import sweep
 from .tune import tune
 
 USAGE, FAULT = 2, 70
@@ -42,8 +44,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
     help="From a linear controller to an implicit homogeneous one: **linearize** a plant, **design** with a proof, "
-    "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **tune** the controller, "
-    "map the **region** that it attracts; **new** begins with a plant of your own. Built in is the QUBE-Servo 2: **demo** "
+    "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **sweep** what is "
+    "uncertain, map the **region** that is attracted, **tune** the controller; **new** begins with a plant of your own. "
+    "Built in is the QUBE-Servo 2: **demo** "
     "does all of it, **paper** repeats the paper's experiments, **hil** runs the controller on the device.",
 )
 
@@ -58,8 +61,10 @@ for _command in (
     ssp,
     run,
     compare,
+    sweep,
     tune,
     region,
+    explore,
     paper,
     demo,
     hil,
