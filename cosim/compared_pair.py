@@ -144,15 +144,42 @@ class ComparedPair:
         self, expected: Expected, outputs: Sequence[ComparedWire], inputs: Sequence[ComparedWire]
     ) -> dict[str, Place]:
         """Return where the plant's variables are at the design's equilibrium: its states by name, else by the wires."""
+        return _places(expected, self._units(expected.system), outputs, inputs)
+
+    def _units(self, system: LinearSystem) -> dict[str, tuple[float, float] | None]:
+        """Return (factor, offset) from the design's unit of a state to the plant's, None where that is another quantity."""
         units: dict[str, tuple[float, float] | None] = {}
-        for quantity in expected.system.states:
+        for quantity in system.states:
             own = self._unit(PLANT, quantity.name + TRUE) or self._unit(PLANT, quantity.name)
             units[quantity.name] = (1.0, 0.0)
             if own is not None and quantity.unit not in (NO_UNIT, own):
                 a = known_scale(self._description(CONTROLLER), quantity.unit)
                 b = known_scale(self._description(PLANT), own)
                 units[quantity.name] = None if a is None or b is None else conversion(a, b)
-        return _places(expected, units, outputs, inputs)
+        return units
+
+    def states_in_plant(self) -> dict[str, tuple[float, float]]:
+        """Return, of states of the design that the plant may have by their names, the equilibrium and a factor.
+
+        x = factor (value - equilibrium) is the deviation in the design's unit, value and equilibrium in the plant's. The
+        wire of a state that is measured decides, otherwise the units.
+        """
+        expected, question = self.expected, self.question
+        if not isinstance(expected, Expected) or question is None:
+            return {}
+        system, found = expected.system, {}
+        for state, value in zip(system.states, np.asarray(system.x_eq), strict=True):
+            unit = self._units(system)[state.name]
+            if unit is not None:
+                found[state.name] = (float(unit[0] * value + unit[1]), 1.0 / unit[0])
+        names = [state.name for state in system.states]
+        for wire in question.outputs:
+            alone = np.flatnonzero(np.asarray(system.C)[wire.number])
+            if wire.factor and wire.name in names and alone.tolist() == [names.index(wire.name)]:
+                scale = float(np.asarray(system.C)[wire.number, alone[0]])
+                rest = (float(np.asarray(system.y_eq)[wire.number]) - wire.offset) / wire.factor
+                found[wire.name] = (rest, wire.factor / scale)
+        return found
 
 
 def _entries(numbers: Array) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from fmu_export.files import FilePath
+from ihc_fmu.homogeneity import LARGEST
 from ihc_fmu.pendulum.interface import INTERFACE as CONTROLLER
 from ihc_fmu.pendulum.interface import VELOCITY_SOURCES, matrix, vector
 from plant_fmu.interface import start_values as plant_start_values
@@ -32,6 +33,9 @@ WIRES = {
     "ideal": (*(Wire(f"plant.{name}", f"controller.{name}") for name in (*ANGLES, *RATES)), _VOLTAGE),
 }
 """How the two units are wired, by the measurement that the controller gets."""
+
+ALWAYS_CAPTURED = {"swing_up_enabled": False, "capture_level": LARGEST, "capture_velocity": LARGEST}
+"""Start values with which the supervisor lets the law act wherever the pendulum is within the capture angle."""
 
 _PLANT = {*(f.name for f in fields(QubeParameters)), "back_emf", *(f"{name}_encoder_offset" for name in ANGLES)}
 _CONTROLLER = {*matrix("Phi"), *vector("row"), "velocity_source", "voltage_limit", "capture_level"}

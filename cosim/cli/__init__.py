@@ -27,6 +27,7 @@ from .new import new
 from .options import FAILED
 from .overlay import overlay
 from .paper import paper
+from .region import region
 from .replay import replay
 from .run import run
 from .ssp import ssp
@@ -44,7 +45,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="From a linear controller to an implicit homogeneous one: **linearize** a plant, **design** with a proof, "
     "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **sweep** what is "
-    "uncertain, **tune** the controller; **new** begins with a plant of your own. Built in is the QUBE-Servo 2: **demo** "
+    "uncertain, map the **region** that is attracted, **tune** the controller; **new** begins with a plant of your own. "
+    "Built in is the QUBE-Servo 2: **demo** "
     "does all of it, **paper** repeats the paper's experiments, **hil** runs the controller on the device.",
 )
 
@@ -61,6 +63,7 @@ for _command in (
     compare,
     sweep,
     tune,
+    region,
     explore,
     paper,
     demo,

@@ -59,18 +59,24 @@ class Experiment:
         return {**drawn, self.entry: law if self.values is None else self.values[law]}
 
 
-def laws_of(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> list[str]:
+def known_laws(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> list[str]:
     """Return the laws that the scenario's controller has: the values of its enumeration `law`, in the order of LAWS.
 
-    Raises UserError where it has no such variable.
+    None where it has no such variable.
     """
     path = files(scenario, fmus, folder).fmus.get(CONTROLLER)
     controller = None if path is None else Instance(CONTROLLER, path)
     law = None if controller is None else controller.variables.get("law")
     items = [item.name for item in getattr(getattr(law, "declaredType", None), "items", None) or ()]
-    if not items:
-        raise UserError("the controller has no enumeration `law` to compare; --vary ENTRY=VALUE,VALUE compares others")
     return [law for law in LAWS if law in items] + [item for item in items if item not in LAWS]
+
+
+def laws_of(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> list[str]:
+    """Return the laws of the scenario's controller as `known_laws`; raise UserError where it has none to choose."""
+    laws = known_laws(scenario, fmus, folder)
+    if not laws:
+        raise UserError("the controller has no enumeration `law` to compare; --vary ENTRY=VALUE,VALUE compares others")
+    return laws
 
 
 def check_names(names: Sequence[str]) -> None:
