@@ -9,10 +9,10 @@ a_min and b_max is tuned; the pendulum's also for each scale of P and each mu, s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,10 +28,10 @@ from ..metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities
 from ..pendulum import is_controller
 from ..scenario import Scenario
 from ..scenario_system import controller_values, evaluation, plant_values
-from .comparison import UNSTEADY
-from .draws import Chance, chance_of, drawn
+from .draw_means import change_over, kept, mean_over, steady
+from .draws import Chance, chance_of, draw_changes
 from .engine import Job, run_numbers
-from .estimates import MeanEstimate, change, mean, rms_change, root_mean_square
+from .estimates import MeanEstimate
 from .experiments import check_outputs, laws_of
 from .journal import Journal
 from .numbers import Numbers
@@ -53,6 +53,8 @@ class Point(NamedTuple):
     a_min: float
     b_max: float
 
+
+K = TypeVar("K", bound=Hashable)
 
 Family = tuple[float | None, float | None]
 """mu and the scale of P, as in a Point."""
@@ -158,7 +160,7 @@ class TuningProblem:
             raise UserError(
                 "tuning rescales P, which a design with the terms of Remark 3, psi and d_max, does not allow"
             )
-        decided = set() if self.design is None else _design_start(self.design).keys()
+        decided = set() if self.design is None else design_start(self.design).keys()
         fixed = sorted(decided & self.scenario.controller.start.keys())
         if fixed:
             raise UserError(f"tuning decides controller.start.{fixed[0]} by its design; give the design with --design")
@@ -196,14 +198,30 @@ class TuningProblem:
             designs |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
         return designs
 
-    def at(self, point: Point, design: Design | None) -> Scenario:
-        """Return the scenario with the IHC of a point."""
-        own = {} if design is None else _design_start(design)
-        values = {"law": "IHC", **own, "a_min": point.a_min, "b_max": point.b_max}
-        changes: dict[str, object] = {f"controller.start.{name}": value for name, value in values.items()}
-        if design is not None:
-            changes["controller.design"] = None
-        return self.scenario.changed({**changes, "record.every": 1})
+    @cached_property
+    def voltage_limit(self) -> float:
+        """Of the pendulum's controller [V]."""
+        own = controller_values(self.scenario, self.fmus, self.folder)
+        return float({**own, **self.scenario.controller.start}["voltage_limit"])
+
+    @cached_property
+    def base(self) -> Scenario:
+        """The scenario that all points of a tuning change: with the IHC, all of it recorded."""
+        own: dict[str, object] = {} if self.design is None else {"controller.design": None}
+        return self.scenario.changed({**own, "controller.start.law": "IHC", "record.every": 1})
+
+    def changes(self, point: Point, design: Design | None) -> dict[str, Value]:
+        """Return what a point changes in `base`."""
+        own = {} if design is None else design_start(design, self.voltage_limit)
+        values = {**own, "a_min": point.a_min, "b_max": point.b_max}
+        return {f"controller.start.{name}": value for name, value in values.items()}
+
+    def jobs(self, key: K, changes: Mapping[str, Value], numbers: Sequence[int]) -> list[Job[tuple[K, int]]]:
+        """Return the runs of `base` with these changes in the draws of these numbers."""
+        return [
+            Job((key, n), self.base, self.folder, {**changes, **draw_changes(self.base, n, self.chance)})
+            for n in numbers
+        ]
 
     def check_tunable(self) -> None:
         """Raise UserError for a controller without a law IHC or its bounds."""
@@ -221,9 +239,10 @@ class TuningProblem:
             )
 
 
-def _design_start(design: Design) -> dict[str, Value]:
-    """Return the start values by which a design makes an IHC."""
-    return {name: value for name, value in design_values(design).items() if not name.startswith("smc_")}
+def design_start(design: Design, voltage_limit: float = 10.0) -> dict[str, Value]:
+    """Return the start values by which a design makes the pendulum's controller an IHC, for a voltage limit [V]."""
+    values = design_values(design, None, voltage_limit)
+    return {name: value for name, value in values.items() if not name.startswith("smc_")}
 
 
 def tune(
@@ -244,15 +263,14 @@ def tune(
     outcomes: dict[Point, Outcome] = {}
     runs: dict[Point, list[Numbers]] = {}
     start = Point(*families[0], 1.0, 1.0)
-    check_outputs(problem.at(start, designs[start.mu, start.u_max]), problem.fmus, problem.folder)
+    check_outputs(problem.base, problem.fmus, problem.folder)
 
     def run(what: str, points: Iterable[Point]) -> None:
         jobs = [
-            Job((point, draw), drawn(scenario, draw, problem.chance), problem.folder)
+            job
             for point in points
             if point not in outcomes
-            for scenario in [problem.at(point, designs[point.mu, point.u_max])]
-            for draw in problem.numbers
+            for job in problem.jobs(point, problem.changes(point, designs[point.mu, point.u_max]), problem.numbers)
         ]
         by_key = run_numbers(
             jobs, problem.fmus, journal, workers=workers, progress=lambda done, total: say(what, done, total)
@@ -282,26 +300,16 @@ def tune(
 
 def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: TuningProblem) -> Outcome:
     """Return the outcome of a point from the numbers of its draws and the LC's of the same draws."""
-    q = problem.quantities[problem.measure or ""]
-    kept = [draw for draw in draws if draw.get("kept")]
-    both = [(a, b) for a, b in zip(draws, linear, strict=True) if a.get("kept") and b.get("kept")]
-    steady = sum(not draw["steady"] for draw in kept) <= UNSTEADY * len(kept)
-    if 2 * len(kept) < len(draws) or not kept or (q.of_window and not steady):
-        return Outcome(point, math.inf, math.inf, len(kept), len(draws), steady)
-    rms = q.over_draws == "rms"
-    measured = np.array([_number(draw, q) for draw in kept])
-    measure = (root_mean_square if rms else mean)(measured).value
-    pairs = np.array([[_number(draw, q) for draw in pair] for pair in both]).reshape(-1, 2)
-    over = (rms_change if rms else change)(pairs[:, 0], pairs[:, 1])
-    never = q.never and all(math.isnan(draw[q.name]) for draw in kept)
+    q, acted, settled = problem.quantities[problem.measure or ""], kept(draws), steady(draws)
+    if 2 * len(acted) < len(draws) or not acted or (q.of_window and not settled):
+        return Outcome(point, math.inf, math.inf, len(acted), len(draws), settled)
+    measure = mean_over(draws, q).value
     variation = chattering_of(problem.quantities)
-    chattering = math.nan if variation is None else float(np.mean([draw[variation.name] for draw in kept]))
-    return Outcome(point, math.inf if never else measure, chattering, len(kept), len(draws), steady, over)
-
-
-def _number(draw: Numbers, q: MetricMeaning) -> float:
-    value = draw[q.name]
-    return draw["duration"] if math.isnan(value) and q.never else value
+    chattering = math.nan if variation is None else float(np.mean([draw[variation.name] for draw in acted]))
+    over = change_over(draws, linear, q)
+    return Outcome(
+        point, math.inf if math.isnan(measure) else measure, chattering, len(acted), len(draws), settled, over
+    )
 
 
 def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:
