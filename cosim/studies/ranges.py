@@ -19,7 +19,7 @@ class Range:
 
     @property
     def width(self) -> float:
-        """high - low."""
+        """The difference high - low."""
         return self.high - self.low
 
     def at(self, share: float) -> float:

@@ -121,6 +121,15 @@ class Tuning:
         """The best of the points at which the paper's rule stopped."""
         return min((self.outcomes[point] for point in self.stops), key=lambda o: (o.measure, -o.point.a_min))
 
+    @property
+    def way(self) -> list[Point]:
+        """The points by which the rule came from the LC to the best."""
+        best = self.best.point
+        down = [p for p in self.outcomes if (p.mu, p.u_max, p.b_max) == (best.mu, best.u_max, 1.0)]
+        way = [p for p in sorted(down, key=lambda p: -p.a_min) if p.a_min >= best.a_min]
+        up = [p for p in self.outcomes if (p.mu, p.u_max, p.a_min) == (best.mu, best.u_max, best.a_min)]
+        return way + [p for p in sorted(up, key=lambda p: p.b_max) if 1.0 < p.b_max <= best.b_max]
+
 
 def chattering_of(quantities: Mapping[str, MetricMeaning]) -> MetricMeaning | None:
     """Return the one metric of chattering; None where there is none, or one for each of several units."""
@@ -182,6 +191,14 @@ class TuningProblem:
     def numbers(self) -> range:
         """The draws' numbers: one where nothing is left to chance."""
         return range(1, self.draws + 1 if self.chance else 2)
+
+    def held_out(self, count: int) -> range:
+        """Return the numbers of `count` further draws, a whole block of the Sobol set where it is a power of two.
+
+        Where nothing is left to chance the one run that there is.
+        """
+        begin = -(-self.draws // count) * count
+        return range(begin + 1, begin + count + 1) if self.chance else self.numbers
 
     def families(self, grid: Grid) -> list[Family]:
         """Return each mu and scale of P that is tried; those of the controller FMU where it keeps its design."""
