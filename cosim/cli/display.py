@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ..paper.verdicts import Claim
     from ..results import Result
     from ..studies.comparison import Comparison
-    from ..studies.pareto import Front, ParetoPoint
+    from ..studies.pareto_front import Front, ParetoPoint
     from ..studies.tuning import Outcome, Tuning
 
 
@@ -279,7 +279,7 @@ def print_tuning(tuning: Tuning) -> None:
 def print_front(front: Front) -> None:
     """Print the LC, where the paper's rule stopped and the front, in the draws held out, and whether the LC gains."""
     from ..studies.estimates import change_text
-    from ..studies.pareto import DOMINATED, FRONT, LC, LOST, RULE
+    from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RULE
 
     objectives = front.search.objectives
     drawn = f", {front.linear.draws} draws that the search did not see; change over the LC" if front.random else ""

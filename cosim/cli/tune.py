@@ -18,7 +18,7 @@ from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded_d
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
-    from ..studies.pareto import Search
+    from ..studies.pareto_front import Search
     from ..studies.tuning import Grid, TuningProblem
 
 
@@ -196,7 +196,7 @@ def _search(
     sizes: dict[str, int],
 ) -> Search:
     """Return what the options say of the search; raise UserError for what they cannot say."""
-    from ..studies.pareto import Search, limits_of, objectives_of
+    from ..studies.pareto_front import Search, limits_of, objectives_of
     from ..studies.tunables import TunedController, ranges_over
 
     controller = TunedController(problem, design)

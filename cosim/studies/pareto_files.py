@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from filing.files import staging, write_file
 from fmu_export.files import FilePath
 
-from ..metric_meanings import MetricMeaning
 from ..plots import COLOURS, OTHERS, literal, save_figure
-from .pareto import DOMINATED, FRONT, LC, LOST, RULE, Front, ParetoPoint
+from .pareto_front import DOMINATED, FRONT, LC, LOST, RULE, Front, ParetoPoint
 from .tuning import TuningProblem
 from .tuning_files import cell, write_best
 
@@ -78,7 +77,8 @@ def _picture(front: Front) -> Figure:
         panel.remove()
     for panel, (i, j) in zip(panels, pairs, strict=False):
         _panel(panel, front, i, j)
-    handles, labels = panels[0].get_legend_handles_labels()
+    shown = {text: handle for panel in panels for handle, text in zip(*panel.get_legend_handles_labels(), strict=True)}
+    handles, labels = list(shown.values()), list(shown)
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure
 
@@ -102,15 +102,17 @@ def _panel(axis: Any, front: Front, i: int, j: int) -> None:
         draw([front.chosen], "o", ms=13, mfc="none", mew=2, color=OTHERS[1], label="chosen")
     for k, line in ((i, axis.axvline), (j, axis.axhline)):
         if q[k].name in front.search.bounds:
-            line(front.search.bounds[q[k].name] * front.linear.held_out[k].value, ls="--", lw=1, color=OTHERS[5])
+            limit = front.search.bounds[q[k].name] * front.linear.held_out[k].value
+            line(limit, ls="--", lw=1, color=OTHERS[5], label="limit" if k == j else None)
     shown = [p for p in front.points if p.kind != LOST]
     for k, scale, label in ((i, axis.set_xscale, axis.set_xlabel), (j, axis.set_yscale, axis.set_ylabel)):
         label(literal(q[k].heading))
-        scale("log" if _wide(q[k], shown, k) else "linear")
+        scale("log" if _wide(shown, k) else "linear")
     axis.grid(alpha=0.3, which="both")
 
 
-def _wide(_q: MetricMeaning, points: Sequence[ParetoPoint], k: int) -> bool:
+def _wide(points: Sequence[ParetoPoint], k: int) -> bool:
+    """Return whether an objective is over more than a decade."""
     values = [p.held_out[k].value for p in points]
     values = [v for v in values if math.isfinite(v)]
     return min(values) > 0.0 and max(values) > LARGEST_RATIO * min(values)
