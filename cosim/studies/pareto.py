@@ -3,7 +3,7 @@
 NSGA-II searches from the LC's neighbourhood, the stops of the paper's rule and a Sobol set. Every point is run in the same
 draws of encoder offsets and noise; its front is run again in draws that the search did not see, and these are the numbers
 that are told. A point that loses the plant in more draws than the LC, ends without the steady state that an objective
-needs, has no proven design, or an objective out of reach, is infeasible: whatever its objectives, it is behind every
+needs, has no proven design, or an objective beyond REACH, is infeasible: whatever its objectives, it is behind every
 feasible one. The search spreads its points evenly in the objectives' logarithms.
 """
 
@@ -38,8 +38,7 @@ WORST = 2.0
 LEAST = 1e-300
 """Of what a logarithm is taken."""
 REACH = 4.0
-"""Of an objective, times the largest of the LC's and those on the rule's way: beyond it nobody would go, and the search
-does not."""
+"""Of an objective, times the LC's, and times its limit where that is above 1: the search does not go beyond."""
 SHARE = 4
 """Part of the population, one in so many, of how many points within the limits are judged besides the last generation's."""
 
@@ -53,21 +52,18 @@ class _Judge:
         self.problem, self.search, self.controller = problem, search, controller
         self.journal, self.workers = journal, workers
         self.linear: Sequence[Numbers] = ()
-        self.reach: Sequence[float] = ()
+        self.reach: list[float] = []
 
-    def begin(self, rule: Tuning, report: Say) -> None:
-        """Run the LC and the rule's way in the search's draws; raise UserError where the LC lacks an objective."""
-        way = [self.problem.changes(p, rule.designs[p.mu, p.u_max]) for p in rule.way]
-        runs = self.runs(
-            [self.controller.linear(), *way], self.problem.numbers, lambda done, total: report("the LC", done, total)
-        )
-        values = np.array([[estimate.value for estimate in self.objectives(draws)] for draws in runs])
-        for q, value in zip(self.search.objectives, values[0], strict=True):
-            if math.isnan(value):
+    def begin(self, progress: Callable[[int, int], None]) -> None:
+        """Run the LC in the search's draws; raise UserError where it lacks an objective."""
+        (self.linear,) = self.runs([self.controller.linear()], self.problem.numbers, progress)
+        for q, estimate in zip(self.search.objectives, self.objectives(self.linear), strict=True):
+            if math.isnan(estimate.value):
                 raise UserError(
                     f"a front starts from the LC, which in this scenario has no {q.name} yet at the end of a run"
                 )
-        self.linear, self.reach = runs[0], (REACH * np.nanmax(values, axis=0)).tolist()
+            factor = REACH * max(1.0, self.search.bounds.get(q.name, 1.0))
+            self.reach.append(factor * estimate.value if estimate.value > 0.0 else math.inf)
 
     def runs(
         self, changes: Sequence[Mapping[str, Any]], numbers: Sequence[int], progress: Callable[[int, int], None]
@@ -125,7 +121,7 @@ def pareto(
         raise UserError("a front is held against the law LC, which the controller does not have")
     rule = tune(problem, grid, journal, workers, report)
     judge = _Judge(problem, search, controller, journal, workers)
-    judge.begin(rule, report)
+    judge.begin(lambda done, total: report("the LC", done, total))
     found = _Explorer(judge, report, say or (lambda _sentence: None)).found(_first(search, controller, rule))
     return _judged(judge, rule, found, report)
 

@@ -22,6 +22,7 @@ _HEADINGS = (
     "law,seed,",
     "law,draw,",
     "mu,u_max,a_min,b_max,",
+    "kind,chosen,",
     "time,voltage,what",
     "experiment,parameters,step,gain,variant,draw,",
 )
