@@ -55,12 +55,12 @@ def encoder_offsets(count: int, encoders: int = 2) -> tuple[tuple[float, ...], .
 
 
 def drawn(scenario: Scenario, draw: int, chance: Chance = PENDULUM) -> Scenario:
-    """Return the scenario of a draw, changed as `draw_changes` says."""
+    """Return the scenario of a draw, counted from 1, see `draw_changes`."""
     return scenario.changed(draw_changes(scenario, draw, chance))
 
 
 def draw_changes(scenario: Scenario, draw: int, chance: Chance = PENDULUM) -> dict[str, Any]:
-    """Return what a draw, counted from 1, changes in a scenario: the encoder offsets, the seed of the noise.
+    """Return what a draw, counted from 1, changes in a scenario: its encoder offsets, its seed of the noise.
 
     What the scenario itself sets of these stays.
     """

@@ -223,9 +223,9 @@ class TuningProblem:
 
     @cached_property
     def base(self) -> Scenario:
-        """The scenario that all points of a tuning change: with the IHC, all of it recorded."""
+        """The scenario that all points of a tuning change: with the IHC."""
         own: dict[str, object] = {} if self.design is None else {"controller.design": None}
-        return self.scenario.changed({**own, "controller.start.law": "IHC", "record.every": 1})
+        return self.scenario.changed({**own, "controller.start.law": "IHC"})
 
     def changes(self, point: Point, design: Design | None) -> dict[str, Value]:
         """Return what a point changes in `base`."""
