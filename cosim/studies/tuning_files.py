@@ -54,7 +54,7 @@ def write_best(place: Path, problem: TuningProblem, changes: Mapping[str, object
         own["controller.design"] = "best.json"
     scenario = problem.scenario.changed({**own, **changes}).to_toml()
     used = files(problem.scenario, problem.fmus, problem.folder)
-    fmus = [path for path in used.fmus.values() if path.parent.absolute() != Path(problem.fmus).absolute()]
+    fmus = [path for path in used.fmus.values() if path.parent.absolute() == Path(problem.folder).absolute()]
     for path in dict.fromkeys([*fmus, *used.tables.values()]):
         write_file(place / path.name, path.read_bytes())
     write_file(place / "best.toml", scenario)
