@@ -13,11 +13,21 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, print_front, print_tuning, remove_earlier, say_notes, staged_progress
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded_design
+from .options import (
+    SCENARIO_HELP,
+    ClusterOption,
+    FmusOption,
+    SetOption,
+    WorkersOption,
+    assignments,
+    loaded_design,
+    workers_at,
+)
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
+    from ..studies.engine import Workers
     from ..studies.pareto_front import Search
     from ..studies.tuning import Grid, TuningProblem
 
@@ -81,7 +91,8 @@ def tune(
             "controller keeps the design that it was exported with."
         ),
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write to; none: `results/tune_NAME`.")
     ] = None,
@@ -136,10 +147,11 @@ def tune(
     check_replaceable(*(target / name for name in _files(search)))
     say_notes(remarks_before(system, loaded_scenario))
     problem = replace(problem, scenario=with_tolerances(loaded_scenario, fmus, folder))
-    if search is None:
-        _follow_the_rule(problem, grid, target, workers)
-    else:
-        _look_for_the_front(problem, search, known, grid, target, workers)
+    with workers_at(workers, cluster) as where:
+        if search is None:
+            _follow_the_rule(problem, grid, target, where)
+        else:
+            _look_for_the_front(problem, search, known, grid, target, where)
 
 
 def _files(search: Search | None) -> tuple[str, ...]:
@@ -148,7 +160,7 @@ def _files(search: Search | None) -> tuple[str, ...]:
     return (tuning_files if search is None else pareto_files).WRITTEN_FILES
 
 
-def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, workers: int | None) -> None:
+def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, workers: Workers) -> None:
     from ..studies.journal import Journal
     from ..studies.numbers import PURPOSE
     from ..studies.tuning import tune as run_tuning
@@ -162,7 +174,7 @@ def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, workers: 
 
 
 def _look_for_the_front(
-    problem: TuningProblem, search: Search, design: Design | None, grid: Grid, target: Path, workers: int | None
+    problem: TuningProblem, search: Search, design: Design | None, grid: Grid, target: Path, workers: Workers
 ) -> None:
     from ..studies.journal import Journal
     from ..studies.numbers import PURPOSE

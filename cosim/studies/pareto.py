@@ -20,7 +20,7 @@ import numpy as np
 from fmu_export.errors import UserError
 
 from .draw_means import change_over, kept, mean_over
-from .engine import run_numbers
+from .engine import Workers, run_numbers
 from .estimates import MeanEstimate
 from .experiments import laws_of
 from .journal import Journal
@@ -47,7 +47,7 @@ class _Judge:
     """Runs points, or takes them from the journal, and says what they come to."""
 
     def __init__(
-        self, problem: TuningProblem, search: Search, controller: TunedController, journal: Journal, workers: int | None
+        self, problem: TuningProblem, search: Search, controller: TunedController, journal: Journal, workers: Workers
     ) -> None:
         self.problem, self.search, self.controller = problem, search, controller
         self.journal, self.workers = journal, workers
@@ -105,7 +105,7 @@ def pareto(
     controller: TunedController,
     grid: Grid,
     journal: Journal,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Say | None = None,
     say: Callable[[str], None] | None = None,
 ) -> Front:
