@@ -15,7 +15,7 @@ from fmu_export.files import FilePath
 from ihc_fmu.design import Design
 
 from ..plots import OTHERS, literal, save_figure
-from ..scenario_files import files
+from ..scenario_files import portable
 from .tuning import Family, Point, Tuning, TuningProblem
 
 WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
@@ -25,7 +25,7 @@ WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
 def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
-    FMUs and tables that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
+    The files that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
     point is a scenario only.
     """
     best = tuning.best.point
@@ -52,11 +52,11 @@ def write_best(place: Path, problem: TuningProblem, changes: Mapping[str, object
     own: dict[str, object] = {"record.every": 1, "controller.start.law": "IHC"}
     if problem.design is not None:
         own["controller.design"] = "best.json"
-    scenario = problem.scenario.changed({**own, **changes}).to_toml()
-    used = files(problem.scenario, problem.fmus, problem.folder)
-    fmus = [path for path in used.fmus.values() if path.parent.absolute() == Path(problem.folder).absolute()]
-    for path in dict.fromkeys([*fmus, *used.tables.values()]):
-        write_file(place / path.name, path.read_bytes())
+    tuned = problem.scenario if problem.design is None else problem.scenario.changed({"controller.design": None})
+    moved, beside = portable(tuned, problem.fmus, problem.folder)
+    for name, path in beside.items():
+        write_file(place / name, path.read_bytes())
+    scenario = moved.changed({**own, **changes}).to_toml()
     write_file(place / "best.toml", scenario)
     if design is not None:
         design.save(place / "best.json")
