@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..paper.verdicts import Claim
     from ..results import Result
     from ..studies.comparison import Comparison
+    from ..studies.pareto_front import Front, ParetoPoint
     from ..studies.tuning import Outcome, Tuning
 
 
@@ -273,6 +274,39 @@ def print_tuning(tuning: Tuning) -> None:
     lowest = min(point.a_min for point in tuning.outcomes)
     if tuning.best.point.a_min == lowest < 1.0:
         console.print(f"the best is at the smallest a_min tried, {lowest:g}; --a-min takes smaller ones")
+
+
+def print_front(front: Front) -> None:
+    """Print the LC, where the paper's rule stopped and the front, in the draws held out, and whether the LC gains."""
+    from ..studies.estimates import change_text
+    from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RULE
+
+    objectives = front.search.objectives
+    drawn = f", {front.linear.draws} draws that the search did not see; change over the LC" if front.random else ""
+
+    def row(name: str, p: ParetoPoint) -> list[str]:
+        cells = [name]
+        for q, value, over in zip(objectives, p.held_out, p.over_linear, strict=True):
+            change, _, verdict = change_text(over).rpartition(" ")
+            shown = change if verdict in ("better", "open", "worse") else change_text(over)
+            cells.append(q.text(value.value) + ("" if p.kind == LC else f" ({shown})"))
+        return cells
+
+    rows = [row("LC", front.linear), *(row("rule", p) for p in front.of(RULE)[-1:])]
+    points = sorted(front.of(FRONT), key=lambda p: p.held_out[0].value)
+    rows += [row("chosen" if p is front.chosen else "", p) for p in points]
+    bold = [number for number, cells in enumerate(rows) if cells[0] == "chosen"]
+    show_table(f"the front{drawn}", ["", *(q.heading for q in objectives)], rows, bold=bold)
+    beaten, lost = len(front.of(DOMINATED)), len(front.of(LOST))
+    if beaten or lost:
+        console.print(f"found by the search, but not of the front in these draws: {beaten} beaten, {lost} infeasible")
+    if front.chosen is not None:
+        units = {t.name: t.unit for t in front.search.tunables}
+        values = (f"{name} {value:g} {units[name]}".rstrip() for name, value in front.chosen.values.items())
+        console.print(escaped(f"chosen: {', '.join(values)}"))
+    if ends := front.at_ends():
+        console.print(escaped(f"the chosen point is at the end of a range: {', '.join(ends)}; --over takes others"))
+    console.print(escaped(front.verdict()), style="bold")
 
 
 def print_claims(claims: list[Claim]) -> None:

@@ -5,15 +5,31 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_tuning, say_notes, staged_progress
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments, loaded_design
+from .display import console, escaped, print_front, print_tuning, remove_earlier, say_notes, staged_progress
+from .options import (
+    SCENARIO_HELP,
+    ClusterOption,
+    FmusOption,
+    SetOption,
+    WorkersOption,
+    assignments,
+    loaded_design,
+    workers_at,
+)
+
+if TYPE_CHECKING:
+    from ihc_fmu.design import Design
+
+    from ..studies.engine import Workers
+    from ..studies.pareto_front import Search
+    from ..studies.tuning import Grid, TuningProblem
 
 
 def tune(
@@ -37,14 +53,46 @@ def tune(
     draws: Annotated[
         int, typer.Option(min=1, help="Encoder offsets and noise, the same for each point; best a power of two.")
     ] = 16,
+    pareto: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME,NAME,...",
+            help="Look for the front of these objectives instead, the first above all: roles (settling, integral, rms, "
+            "energy, variation) or names of metrics.",
+        ),
+    ] = None,
+    over: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="controller.NAME=LOW..HIGH",
+            help="What is varied for the front, may be repeated; none: a_min, b_max, the scale of P (u_max), of the "
+            "pendulum mu and the noises of its Kalman filter.",
+        ),
+    ] = None,
+    gain: Annotated[bool, typer.Option("--gain", help="Vary the entries of K for the front too.")] = False,
+    limit: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FACTOR",
+            help="Largest value of an objective for the chosen point, relative to the LC's, e.g. `energy=1`; may be "
+            "repeated; none: 1 for every objective but the first.",
+        ),
+    ] = None,
+    population: Annotated[int | None, typer.Option(help="Points of a generation; none: 32.")] = None,
+    generations: Annotated[int | None, typer.Option(help="Generations of the search; none: 20.")] = None,
+    held_out: Annotated[
+        int | None, typer.Option(help="Draws that judge the front, none of the search's; none: 64.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Of the search; the same finds the same front; none: 1.")] = None,
     design: Annotated[
         Path | None,
         typer.Option(
-            help="The pendulum's design file with your A, b, k_lin and alpha; none: the default design. Another "
+            help="The pendulum's design file with your A, b, k_lin and alpha; none: that of the controller FMU. Another "
             "controller keeps the design that it was exported with."
         ),
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write to; none: `results/tune_NAME`.")
     ] = None,
@@ -53,45 +101,119 @@ def tune(
 ) -> None:
     """Tune a_min and b_max, of the pendulum the scale of P and mu too: from the LC on, as long as the measure improves.
 
-    Writes all points as a table and a picture, and the best as a scenario and a design. Finished runs are kept: the same
-    command, or one with more values, goes on from there.
+    Writes all points as a table and a picture, and the best as a scenario and a design. With --pareto it looks for the
+    front of several objectives. Finished runs are kept: the same command, or one with more values, goes on from there.
     """
-    from ihc_fmu.pendulum.start_values import default_design
-
     from ..pendulum import is_controller
     from ..remarks import remarks_before
     from ..scenario import load_located
     from ..scenario_run import with_tolerances
-    from ..scenario_system import build_system, controller_values
-    from ..studies.journal import Journal
-    from ..studies.numbers import PURPOSE
+    from ..scenario_system import build_system, controller_design, controller_values
     from ..studies.tuning import Grid, TuningProblem
-    from ..studies.tuning import tune as run_tuning
-    from ..studies.tuning_files import WRITTEN_FILES, save
 
+    sizes = {"population": population, "generations": generations, "held_out": held_out, "seed": seed}
+    sizes = {name: value for name, value in sizes.items() if value is not None}
+    if pareto is None and (over or gain or limit or sizes):
+        raise UserError(
+            "--over, --gain, --limit, --population, --generations, --held-out and --seed are for a front; --pareto names "
+            "its objectives"
+        )
+    if pareto is not None and (measure is not None or most_chattering is not None):
+        raise UserError(
+            "--measure and --most-chattering are for the rule; a front has --pareto and --limit in their place"
+        )
     loaded_scenario, folder, fmus = load_located(scenario, fmus)
     loaded_scenario = loaded_scenario.changed(dict(assignments(change)))
     given = {"a_min": a_min, "b_max": b_max, "u_max": u_max, "mu": mu}
     grid = Grid(
         **{name: _numbers(f"--{name.replace('_', '-')}", text) for name, text in given.items() if text is not None}
     )
-    limit = math.inf if most_chattering is None else most_chattering
     own_design = None if design is None else loaded_design(design)
-    if own_design is None and is_controller(controller_values(loaded_scenario, fmus, folder)):
-        own_design = default_design()
-    if own_design is None and (u_max is not None or mu is not None):
+    pendulum = is_controller(controller_values(loaded_scenario, fmus, folder))
+    if not pendulum and (u_max is not None or mu is not None):
         raise UserError("--u-max and --mu are for the pendulum's controller; another keeps those of its design")
-    problem = TuningProblem(loaded_scenario, folder, fmus, own_design, measure, limit, draws)
+    system = build_system(loaded_scenario, fmus, folder)
+    known = own_design or controller_design(system, loaded_scenario, folder)[0]
+    limit_of_chattering = math.inf if most_chattering is None else most_chattering
+    problem = TuningProblem(
+        loaded_scenario, folder, fmus, known if pendulum else own_design, measure, limit_of_chattering, draws
+    )
+    problem.check_tunable()
     target = output or Path("results") / f"tune_{loaded_scenario.name}"
-    check_replaceable(*(target / name for name in WRITTEN_FILES))
-    say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
+    search = None
+    if pareto is not None:
+        search = _search(problem, known, pareto.split(","), over or [], limit or [], gain, sizes)
+        problem = replace(problem, measure=search.objectives[0].name)
+    check_replaceable(*(target / name for name in _files(search)))
+    say_notes(remarks_before(system, loaded_scenario))
     problem = replace(problem, scenario=with_tolerances(loaded_scenario, fmus, folder))
+    with workers_at(workers, cluster) as where:
+        if search is None:
+            _follow_the_rule(problem, grid, target, where)
+        else:
+            _look_for_the_front(problem, search, known, grid, target, where)
+
+
+def _files(search: Search | None) -> tuple[str, ...]:
+    from ..studies import pareto_files, tuning_files
+
+    return (tuning_files if search is None else pareto_files).WRITTEN_FILES
+
+
+def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, workers: Workers) -> None:
+    from ..studies.journal import Journal
+    from ..studies.numbers import PURPOSE
+    from ..studies.tuning import tune as run_tuning
+    from ..studies.tuning_files import save
+
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)
     print_tuning(tuning)
+    _say_written(paths)
+
+
+def _look_for_the_front(
+    problem: TuningProblem, search: Search, design: Design | None, grid: Grid, target: Path, workers: Workers
+) -> None:
+    from ..studies.journal import Journal
+    from ..studies.numbers import PURPOSE
+    from ..studies.pareto import pareto
+    from ..studies.pareto_files import WRITTEN_FILES, save
+    from ..studies.tunables import TunedController
+
+    controller = TunedController(problem, design)
+    with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
+        front = pareto(problem, search, controller, grid, journal, workers, report, console.print)
+    paths = save(front, problem, target)
+    print_front(front)
+    _say_written(paths)
+    for name in WRITTEN_FILES:
+        if target / name not in paths:
+            remove_earlier(target / name, "chosen point")
+
+
+def _say_written(paths: list[Path]) -> None:
     for path in paths:
         console.print(f"wrote {escaped(path)}")
+
+
+def _search(
+    problem: TuningProblem,
+    design: Design | None,
+    objectives: list[str],
+    over: list[str],
+    limit: list[str],
+    gain: bool,
+    sizes: dict[str, int],
+) -> Search:
+    """Return what the options say of the search; raise UserError for what they cannot say."""
+    from ..studies.pareto_front import Search, limits_of, objectives_of
+    from ..studies.tunables import TunedController, ranges_over
+
+    controller = TunedController(problem, design)
+    found = objectives_of(objectives, problem.quantities)
+    return Search(found, tuple(controller.tunables(ranges_over(over), gain)), limits_of(limit, found), **sizes)
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

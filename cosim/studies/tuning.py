@@ -9,10 +9,10 @@ a_min and b_max is tuned; the pendulum's also for each scale of P and each mu, s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -28,10 +28,10 @@ from ..metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities
 from ..pendulum import is_controller
 from ..scenario import Scenario
 from ..scenario_system import controller_values, evaluation, plant_values
-from .comparison import UNSTEADY
+from .draw_means import change_over, kept, mean_over, steady
 from .draws import Chance, chance_of, draw_changes
 from .engine import Job, Workers, run_numbers
-from .estimates import MeanEstimate, change, mean, rms_change, root_mean_square
+from .estimates import MeanEstimate
 from .experiments import check_outputs, laws_of
 from .journal import Journal
 from .numbers import Numbers
@@ -53,6 +53,8 @@ class Point(NamedTuple):
     a_min: float
     b_max: float
 
+
+K = TypeVar("K", bound=Hashable)
 
 Family = tuple[float | None, float | None]
 """mu and the scale of P, as in a Point."""
@@ -119,6 +121,15 @@ class Tuning:
         """The best of the points at which the paper's rule stopped."""
         return min((self.outcomes[point] for point in self.stops), key=lambda o: (o.measure, -o.point.a_min))
 
+    @property
+    def way(self) -> list[Point]:
+        """The points by which the rule came from the LC to the best."""
+        best = self.best.point
+        down = [p for p in self.outcomes if (p.mu, p.u_max, p.b_max) == (best.mu, best.u_max, 1.0)]
+        way = [p for p in sorted(down, key=lambda p: -p.a_min) if p.a_min >= best.a_min]
+        up = [p for p in self.outcomes if (p.mu, p.u_max, p.a_min) == (best.mu, best.u_max, best.a_min)]
+        return way + [p for p in sorted(up, key=lambda p: p.b_max) if 1.0 < p.b_max <= best.b_max]
+
 
 def chattering_of(quantities: Mapping[str, MetricMeaning]) -> MetricMeaning | None:
     """Return the one metric of chattering; None where there is none, or one for each of several units."""
@@ -158,7 +169,7 @@ class TuningProblem:
             raise UserError(
                 "tuning rescales P, which a design with the terms of Remark 3, psi and d_max, does not allow"
             )
-        decided = set() if self.design is None else _design_start(self.design).keys()
+        decided = set() if self.design is None else design_start(self.design).keys()
         fixed = sorted(decided & self.scenario.controller.start.keys())
         if fixed:
             raise UserError(f"tuning decides controller.start.{fixed[0]} by its design; give the design with --design")
@@ -181,6 +192,14 @@ class TuningProblem:
         """The draws' numbers: one where nothing is left to chance."""
         return range(1, self.draws + 1 if self.chance else 2)
 
+    def held_out(self, count: int) -> range:
+        """Return the numbers of `count` further draws, a whole block of the Sobol set where it is a power of two.
+
+        Where nothing is left to chance the one run that there is.
+        """
+        begin = -(-self.draws // count) * count
+        return range(begin + 1, begin + count + 1) if self.chance else self.numbers
+
     def families(self, grid: Grid) -> list[Family]:
         """Return each mu and scale of P that is tried; those of the controller FMU where it keeps its design."""
         return [(None, None)] if self.design is None else [(mu, u_max) for mu in grid.mu for u_max in grid.u_max]
@@ -196,18 +215,30 @@ class TuningProblem:
             designs |= {(mu, u_max): solved.scaled_to(u_max=u_max) for u_max in grid.u_max}
         return designs
 
-    def at(self, point: Point, design: Design | None) -> Scenario:
-        """Return the scenario with the IHC of a point."""
-        return self.scenario.changed(self.changes(point, design))
+    @cached_property
+    def voltage_limit(self) -> float:
+        """Of the pendulum's controller [V]."""
+        own = controller_values(self.scenario, self.fmus, self.folder)
+        return float({**own, **self.scenario.controller.start}["voltage_limit"])
 
-    def changes(self, point: Point, design: Design | None) -> dict[str, Any]:
-        """Return what the IHC of a point changes in the scenario."""
-        own = {} if design is None else _design_start(design)
-        values = {"law": "IHC", **own, "a_min": point.a_min, "b_max": point.b_max}
-        changes: dict[str, Any] = {f"controller.start.{name}": value for name, value in values.items()}
-        if design is not None:
-            changes["controller.design"] = None
-        return changes
+    @cached_property
+    def base(self) -> Scenario:
+        """The scenario that all points of a tuning change: with the IHC."""
+        own: dict[str, object] = {} if self.design is None else {"controller.design": None}
+        return self.scenario.changed({**own, "controller.start.law": "IHC"})
+
+    def changes(self, point: Point, design: Design | None) -> dict[str, Value]:
+        """Return what a point changes in `base`."""
+        own = {} if design is None else design_start(design, self.voltage_limit)
+        values = {**own, "a_min": point.a_min, "b_max": point.b_max}
+        return {f"controller.start.{name}": value for name, value in values.items()}
+
+    def jobs(self, key: K, changes: Mapping[str, Value], numbers: Sequence[int]) -> list[Job[tuple[K, int]]]:
+        """Return the runs of `base` with these changes in the draws of these numbers."""
+        return [
+            Job((key, n), self.base, self.folder, {**changes, **draw_changes(self.base, n, self.chance)})
+            for n in numbers
+        ]
 
     def check_tunable(self) -> None:
         """Raise UserError for a controller without a law IHC or its bounds."""
@@ -225,9 +256,10 @@ class TuningProblem:
             )
 
 
-def _design_start(design: Design) -> dict[str, Value]:
-    """Return the start values by which a design makes an IHC."""
-    return {name: value for name, value in design_values(design).items() if not name.startswith("smc_")}
+def design_start(design: Design, voltage_limit: float = 10.0) -> dict[str, Value]:
+    """Return the start values by which a design makes the pendulum's controller an IHC, for a voltage limit [V]."""
+    values = design_values(design, None, voltage_limit)
+    return {name: value for name, value in values.items() if not name.startswith("smc_")}
 
 
 def tune(
@@ -243,20 +275,19 @@ def tune(
     """
     say = progress or (lambda _what, _done, _total: None)
     problem.check_tunable()
-    families, chance = problem.families(grid), problem.chance
+    families = problem.families(grid)
     designs = problem.designs(grid)
     outcomes: dict[Point, Outcome] = {}
     runs: dict[Point, list[Numbers]] = {}
     start = Point(*families[0], 1.0, 1.0)
-    check_outputs(problem.at(start, designs[start.mu, start.u_max]), problem.fmus, problem.folder)
+    check_outputs(problem.base, problem.fmus, problem.folder)
 
     def run(what: str, points: Iterable[Point]) -> None:
         jobs = [
-            Job((point, draw), problem.scenario, problem.folder, changes | draw_changes(problem.scenario, draw, chance))
+            job
             for point in points
             if point not in outcomes
-            for changes in [problem.changes(point, designs[point.mu, point.u_max])]
-            for draw in problem.numbers
+            for job in problem.jobs(point, problem.changes(point, designs[point.mu, point.u_max]), problem.numbers)
         ]
         by_key = run_numbers(
             jobs, problem.fmus, journal, workers=workers, progress=lambda done, total: say(what, done, total)
@@ -286,26 +317,16 @@ def tune(
 
 def _outcome(point: Point, draws: Sequence[Numbers], linear: Sequence[Numbers], problem: TuningProblem) -> Outcome:
     """Return the outcome of a point from the numbers of its draws and the LC's of the same draws."""
-    q = problem.quantities[problem.measure or ""]
-    kept = [draw for draw in draws if draw.get("kept")]
-    both = [(a, b) for a, b in zip(draws, linear, strict=True) if a.get("kept") and b.get("kept")]
-    steady = sum(not draw["steady"] for draw in kept) <= UNSTEADY * len(kept)
-    if 2 * len(kept) < len(draws) or not kept or (q.of_window and not steady):
-        return Outcome(point, math.inf, math.inf, len(kept), len(draws), steady)
-    rms = q.over_draws == "rms"
-    measured = np.array([_number(draw, q) for draw in kept])
-    measure = (root_mean_square if rms else mean)(measured).value
-    pairs = np.array([[_number(draw, q) for draw in pair] for pair in both]).reshape(-1, 2)
-    over = (rms_change if rms else change)(pairs[:, 0], pairs[:, 1])
-    never = q.never and all(math.isnan(draw[q.name]) for draw in kept)
+    q, acted, settled = problem.quantities[problem.measure or ""], kept(draws), steady(draws)
+    if 2 * len(acted) < len(draws) or not acted or (q.of_window and not settled):
+        return Outcome(point, math.inf, math.inf, len(acted), len(draws), settled)
+    measure = mean_over(draws, q).value
     variation = chattering_of(problem.quantities)
-    chattering = math.nan if variation is None else float(np.mean([draw[variation.name] for draw in kept]))
-    return Outcome(point, math.inf if never else measure, chattering, len(kept), len(draws), steady, over)
-
-
-def _number(draw: Numbers, q: MetricMeaning) -> float:
-    value = draw[q.name]
-    return draw["duration"] if math.isnan(value) and q.never else value
+    chattering = math.nan if variation is None else float(np.mean([draw[variation.name] for draw in acted]))
+    over = change_over(draws, linear, q)
+    return Outcome(
+        point, math.inf if math.isnan(measure) else measure, chattering, len(acted), len(draws), settled, over
+    )
 
 
 def _walk(steps: Sequence[Outcome], most_chattering: float) -> Outcome:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from matplotlib.figure import Figure
 
 from filing.files import staging, write_file
 from fmu_export.files import FilePath
+from ihc_fmu.design import Design
 
 from ..plots import OTHERS, literal, save_figure
 from ..scenario_files import portable
@@ -28,14 +30,7 @@ def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]
     """
     best = tuning.best.point
     design = tuning.designs[best.mu, best.u_max]
-    own: dict[str, object] = {"record.every": 1}
-    if design is not None:
-        own["controller.design"] = "best.json"
-    point: dict[str, object] = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
-    start = {f"controller.start.{name}": value for name, value in point.items()}
-    tuned = problem.scenario if design is None else problem.scenario.changed({"controller.design": None})
-    moved, beside = portable(tuned, problem.fmus, problem.folder)
-    scenario = moved.changed({**own, **start}).to_toml()
+    changes = {"controller.start.a_min": best.a_min, "controller.start.b_max": best.b_max}
     drawn = f"means of {len(problem.numbers)} draws" if problem.chance else "one run each"
     title = (
         f"{problem.scenario.name}: {tuning.quantities[tuning.measure].symbol} and chattering, {drawn}\n"
@@ -44,20 +39,34 @@ def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]
     folder = Path(folder)
     with staging(folder) as place:
         write_file(place / "tuning.csv", _table(tuning))
-        for name, path in beside.items():
-            write_file(place / name, path.read_bytes())
-        write_file(place / "best.toml", scenario)
-        if design is not None:
-            design.save(place / "best.json")
+        write_best(place, problem, changes, design)
         save_figure(_landscape(tuning), place / "landscape.png", title)
     return [folder / name for name in WRITTEN_FILES if design is not None or name != "best.json"]
+
+
+def write_best(place: Path, problem: TuningProblem, changes: Mapping[str, object], design: Design | None) -> None:
+    """Write the scenario with the IHC and `changes` as best.toml, its design as best.json, and the files it needs.
+
+    The pendulum's controller takes the design from the file.
+    """
+    own: dict[str, object] = {"record.every": 1, "controller.start.law": "IHC"}
+    if problem.design is not None:
+        own["controller.design"] = "best.json"
+    tuned = problem.scenario if problem.design is None else problem.scenario.changed({"controller.design": None})
+    moved, beside = portable(tuned, problem.fmus, problem.folder)
+    for name, path in beside.items():
+        write_file(place / name, path.read_bytes())
+    scenario = moved.changed({**own, **changes}).to_toml()
+    write_file(place / "best.toml", scenario)
+    if design is not None:
+        design.save(place / "best.json")
 
 
 def _table(tuning: Tuning) -> str:
     """Return all points as CSV."""
     variation = tuning.chattering
     name = "variation" if variation is None else variation.name
-    lines = [f"mu,u_max,a_min,b_max,{_cell(tuning.measure)},over_lc,interval,{_cell(name)},kept,draws,stop"]
+    lines = [f"mu,u_max,a_min,b_max,{cell(tuning.measure)},over_lc,interval,{cell(name)},kept,draws,stop"]
     for point, o in sorted(tuning.outcomes.items(), key=lambda item: _order(item[0])):
         over = (o.over_linear.value, o.over_linear.half_width)
         row = (*point, o.measure, *over, o.chattering, o.kept, o.draws, int(point in tuning.stops))
@@ -65,7 +74,7 @@ def _table(tuning: Tuning) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cell(name: str) -> str:
+def cell(name: str) -> str:
     """Return a heading; names of FMUs may have commas, quotes and line breaks in them."""
     return '"' + name.replace('"', '""') + '"' if set(name) & set(',"\r\n') else name
 

@@ -23,6 +23,7 @@ _HEADINGS = (
     "law,draw,",
     "draw,law,",
     "mu,u_max,a_min,b_max,",
+    "kind,chosen,",
     "time,voltage,what",
     "experiment,parameters,step,gain,variant,draw,",
 )

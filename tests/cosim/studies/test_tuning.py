@@ -253,6 +253,12 @@ def undrawn(monkeypatch):
     monkeypatch.setattr("cosim.studies.tuning_files.save_figure", lambda *_: None)
 
 
+def at(problem, point):
+    """Return the scenario of a point."""
+    designs = problem.designs(Grid(u_max=(point.u_max,), mu=(point.mu,)))
+    return problem.base.changed(problem.changes(point, designs[point.mu, point.u_max]))
+
+
 @pytest.mark.parametrize("name", ["tilt", "swing_up"])
 def test_at_a_min_and_b_max_1_every_mu_and_scale_is_the_linear_controller_to_the_last_bit(fmus, design, name):
     scenario, folder = load_scenario(name)
@@ -263,9 +269,7 @@ def test_at_a_min_and_b_max_1_every_mu_and_scale_is_the_linear_controller_to_the
     for family in FAMILIES:
         point = Point(*family, 1.0, 1.0)
         result = run_scenario(
-            problem.at(
-                point, problem.designs(Grid(u_max=(point.u_max or 0.0,), mu=(point.mu or 0.0,)))[point.mu, point.u_max]
-            ),
+            at(problem, point),
             fmus,
             folder,
         )
@@ -322,9 +326,7 @@ def test_the_tests_of_the_rule_see_all_that_it_can_do(tuned):
 
 def test_an_outcome_is_the_mean_of_single_runs(tuned, tilt, fmus):
     problem, point = tilt(STEADY), Point(1.0, 10.0, 0.4, 1.0)
-    scenario = problem.at(
-        point, problem.designs(Grid(u_max=(point.u_max or 0.0,), mu=(point.mu or 0.0,)))[point.mu, point.u_max]
-    )
+    scenario = at(problem, point)
     found = [numbers(run_scenario(drawn(scenario, draw), fmus, problem.folder)) for draw in range(1, problem.draws + 1)]
     outcome = tuned("integral_q2").outcomes[point]
     assert outcome.measure == statistics.fmean(n["integral_q2"] for n in found)

@@ -1,0 +1,281 @@
+"""What of a controller is tuned freely: its numbers with their ranges, and what in a scenario a choice of them changes.
+
+Some are start values of the controller FMU. Others decide several of them: mu, the scale of P and the gain by a design, the
+noises of the pendulum's Kalman filter by its gain. Those have the same names, `controller.NAME`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from fmu_export.errors import UserError
+from fmu_export.variables import Value, did_you_mean
+from ihc_fmu.design import Design
+from ihc_fmu.inverse import inverse_design
+from ihc_fmu.options import Options
+from ihc_fmu.pendulum.interface import VELOCITY_SOURCES, vector
+from ihc_fmu.pendulum.kalman import KalmanOptions
+from ihc_fmu.pendulum.start_values import kalman_values
+
+from ..certified import certified_names
+from ..fmu_files import describe, start_values_of
+from ..pendulum import is_controller
+from ..scenario_files import files
+from ..scenario_system import build_system
+from ..wiring import CONTROLLER
+from .ranges import Range, range_of
+from .tuning import TuningProblem, design_start
+
+MU, U_MAX = "mu", "u_max"
+"""Minus the degree of homogeneity; the scale of P: the largest |(K - K_0) x| of the first input on the unit ball."""
+NOISE_UNITS = {"voltage_noise": "V² s", "disturbance_noise": "V²/s", "bias_noise": "rad²/s"}
+"""Of the pendulum's Kalman filter, as in `KalmanOptions`."""
+NOISES = tuple(NOISE_UNITS)
+
+A_MIN, B_MAX = Range(0.05, 1.0), Range(1.0, 5.0)
+MUS = Range(0.5, 1.0)
+SCALES = (1 / 3, 10.0)
+"""Of u_max, times the design's."""
+SPREAD = (1 / 30, 30.0)
+"""Of the noises, times the usual ones."""
+GAINS = (0.5, 2.0)
+"""Of the entries of K, times the design's."""
+DECADE = 10.0
+DIGITS = 4
+"""Significant digits of a number that is tried: more would be read by nobody."""
+
+
+@dataclass(frozen=True)
+class Tunable:
+    """A number of the controller that is tuned: its name behind `controller.`, its range, its unit.
+
+    Positive ranges over more than a decade are searched by the logarithm.
+    """
+
+    name: str
+    range: Range
+    unit: str = ""
+
+    @property
+    def logarithmic(self) -> bool:
+        """Whether the logarithm is what is searched evenly."""
+        return self.range.low > 0.0 and self.range.high > DECADE * self.range.low
+
+    @property
+    def heading(self) -> str:
+        """The name with its unit."""
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
+
+    def at(self, share: float) -> float:
+        """Return the value at a share in [0, 1] of the range, to DIGITS digits."""
+        low, high = self.range.low, self.range.high
+        value = low * (high / low) ** share if self.logarithmic else self.range.at(share)
+        return min(max(float(f"{value:.{DIGITS}g}"), low), high)
+
+    def share(self, value: float) -> float:
+        """Return the share at which a value lies, that of the nearer end for one outside the range."""
+        low, high = self.range.low, self.range.high
+        value = min(max(value, low), high)
+        return math.log(value / low) / math.log(high / low) if self.logarithmic else (value - low) / (high - low)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What a choice of numbers makes of the controller: changes of the scenario, the design where it decides one.
+
+    `plain` are the changes that the design's file does not bring.
+    """
+
+    changes: Mapping[str, Value]
+    plain: Mapping[str, Value]
+    design: Design | None
+
+
+class TunedController:
+    """The controller of a tuning's scenario: what of it can be tuned, and what a choice of that changes."""
+
+    def __init__(self, problem: TuningProblem, design: Design | None) -> None:
+        """Read the FMU of `problem`; `design` is the controller's, None: there is none that is known."""
+        self.problem = problem
+        path = files(problem.scenario, problem.fmus, problem.folder).fmus[CONTROLLER]
+        self.variables = {v.name: v for v in describe(path).modelVariables}
+        components = build_system(problem.scenario, problem.fmus, problem.folder).components
+        own = start_values_of(path)
+        self.own = own | dict(next(c.start for c in components if c.name == CONTROLLER))
+        self.pendulum = is_controller(own)
+        changed = {*certified_names(own)} & problem.scenario.controller.start.keys()
+        self.design = None if changed else design
+        self.redesigned = design is not None and not (changed or design.integral or design.psi or design.d_max)
+
+    @property
+    def filtered(self) -> bool:
+        """Whether the pendulum's Kalman filter estimates the state."""
+        kalman = ("kalman", VELOCITY_SOURCES.index("kalman") + 1)
+        return self.pendulum and self.own["velocity_source"] in kalman
+
+    @property
+    def gains(self) -> tuple[str, ...]:
+        """The names of the entries of K."""
+        if self.design is None:
+            return ()
+        if self.pendulum:
+            return vector("k_lin")
+        m, n = self.design.K.shape
+        return tuple(f"K_{i}_{j}" for i in range(1, m + 1) for j in range(1, n + 1))
+
+    @cached_property
+    def start(self) -> dict[str, float]:
+        """The present value of all that can be tuned."""
+        values = {name: float(self.own[name]) for name in self._plain}
+        if self.redesigned and self.design is not None:
+            values |= {MU: self.design.mu, U_MAX: float(self.design.u_max[0])}
+            values |= dict(zip(self.gains, self.design.K.ravel().tolist(), strict=True))
+        if self.filtered:
+            values |= {name: getattr(KalmanOptions(), name) for name in NOISES}
+        return values
+
+    @cached_property
+    def _plain(self) -> list[str]:
+        """The names of the start values that are numbers of the controller's own, not of its design or filter."""
+        decided = {*certified_names(self.own), *(design_start(self.design) if self.pendulum and self.design else ())}
+        return [
+            v.name
+            for v in self.variables.values()
+            if (v.causality, v.type) == ("parameter", "Real")
+            and v.name not in decided
+            and not v.name.startswith("kalman_M")
+            and v.name not in ("sample_time", "kalman_sample_time")
+        ]
+
+    def tunables(self, over: Mapping[str, Range], gain: bool = False) -> list[Tunable]:
+        """Return what is tuned: the numbers in `over`, empty: the usual ones; with `gain`, the entries of K too.
+
+        Raises UserError for a number that cannot be tuned, or not in its range.
+        """
+        ranges = {**(over or self._usual()), **(self._gains() if gain else {})}
+        return [self._tunable(name, limits) for name, limits in ranges.items()]
+
+    def _usual(self) -> dict[str, Range]:
+        ranges = {"a_min": A_MIN, "b_max": B_MAX}
+        if self.redesigned and self.design is not None:
+            ranges[U_MAX] = _around(self.start[U_MAX], SCALES)
+            if self.pendulum:
+                ranges[MU] = MUS
+        if self.filtered:
+            ranges |= {name: _around(self.start[name], SPREAD) for name in NOISES}
+        return ranges
+
+    def _gains(self) -> dict[str, Range]:
+        """Return the ranges of the gain's entries; raise UserError where they cannot be tuned."""
+        if not self.redesigned:
+            raise UserError("--gain needs a controller whose design is known, without integral action, psi and d_max")
+        return {name: _around(self.start[name], GAINS) for name in self.gains if self.start[name] != 0.0}
+
+    def _tunable(self, name: str, limits: Range) -> Tunable:
+        """Return what is tuned by its name; raise UserError for one that cannot be, or not within these limits."""
+        if name not in self.start:
+            raise UserError(
+                f"controller.{name} cannot be tuned{did_you_mean(name, self.start)}; what can: {', '.join(self.start)}"
+            )
+        low, high = (float(end) for end in self._ends(name))
+        positive = name in (MU, U_MAX, *NOISES)
+        if not low <= limits.low < limits.high <= high or (positive and limits.low <= 0.0):
+            raise UserError(
+                f"controller.{name} must lie in {'(' if positive else '['}{low:g}, {high:g}], "
+                f"found {limits.low:g}..{limits.high:g}"
+            )
+        return Tunable(name, limits, self._unit(name))
+
+    def _ends(self, name: str) -> tuple[str | float, str | float]:
+        """Return the least and the largest value that the controller takes."""
+        variable = self.variables.get(name)
+        if variable is None:
+            return 0.0, math.inf
+        low, high = variable.min, variable.max
+        return -math.inf if low is None else low, math.inf if high is None else high
+
+    def _unit(self, name: str) -> str:
+        """Return the unit of a number; empty where it has none."""
+        if name in NOISE_UNITS:
+            return NOISE_UNITS[name]
+        if name == U_MAX and self.design is not None:
+            return self.design.system.inputs[0].unit
+        unit = getattr(self.variables.get(name), "unit", None)
+        return "" if unit in (None, "1") else str(unit)
+
+    def setting(self, values: Mapping[str, float]) -> Setting:
+        """Return what these values change; raises UserError where no design is proven for them."""
+        now = {**self.start, **values}
+        if now["a_min"] > now["b_max"]:
+            raise UserError(f"a_min must not exceed b_max, found {now['a_min']} and {now['b_max']}")
+        plain = {name: value for name, value in values.items() if name in self._plain}
+        if any(name in values for name in NOISES):
+            plain |= self._kalman(now)
+        design = self._design(values)
+        return Setting(_entries({**self._design_start(design), **plain}), _entries(plain), design)
+
+    def linear(self) -> dict[str, Value | str]:
+        """Return the changes that make the controller the LC that its design was made from."""
+        return {**_entries(self._design_start(self.design)), f"{CONTROLLER}.start.law": "LC"}
+
+    def _design(self, values: Mapping[str, float]) -> Design | None:
+        d = self.design
+        if d is None or not self.redesigned:
+            return d
+        K = np.array([values.get(name, k) for name, k in zip(self.gains, d.K.ravel(), strict=True)]).reshape(d.K.shape)
+        mu, u_max = values.get(MU, d.mu), values.get(U_MAX, float(d.u_max[0]))
+        same = mu == d.mu and (d.K == K).all()
+        solved = d if same else _solved(d, mu, tuple(K.ravel().tolist()))
+        bounds = d.u_max * (u_max / d.u_max[0])
+        return solved if (solved.u_max == bounds).all() else solved.scaled_to(u_max=bounds.tolist())
+
+    def _design_start(self, design: Design | None) -> dict[str, Value]:
+        """Return the start values that a design decides: of the pendulum all, of another what it changes."""
+        if design is None or (design is self.design and not self.pendulum):
+            return {}
+        if not self.pendulum:
+            n, m = design.n, design.system.m
+            values: dict[str, Value] = {MU: design.mu}
+            values |= {f"P_{i + 1}_{j + 1}": float(design.P[i, j]) for i in range(n) for j in range(i, n)}
+            return values | {f"K_{i + 1}_{j + 1}": float(design.K[i, j]) for i in range(m) for j in range(n)}
+        return design_start(design, self.problem.voltage_limit)
+
+    def _kalman(self, values: Mapping[str, float]) -> dict[str, Value]:
+        known = {**self.own, **values}
+        nominal = {name: float(value) for name, value in known.items() if name.startswith("nominal_")}
+        options = replace(KalmanOptions(), **{name: values[name] for name in NOISES})
+        return kalman_values(nominal, float(self.own["sample_time"]), options)
+
+
+def _around(value: float, factors: tuple[float, float]) -> Range:
+    """Return the range between multiples of a value, to three digits."""
+    return Range(*sorted(float(f"{factor * value:.3g}") for factor in factors))
+
+
+@lru_cache(maxsize=256)  # a matrix inequality
+def _solved(design: Design, mu: float, K: tuple[float, ...]) -> Design:
+    system = design.system.changed(K=np.reshape(K, design.K.shape))
+    return inverse_design(system, Options(mu=mu, alpha=design.alpha, u_max=design.u_max.tolist()))
+
+
+def _entries(values: Mapping[str, Value]) -> dict[str, Value]:
+    return {f"{CONTROLLER}.start.{name}": value for name, value in values.items()}
+
+
+def ranges_over(texts: Sequence[str]) -> dict[str, Range]:
+    """Return the ranges by names of `controller.NAME=LOW..HIGH`; UserError for another text and a name given twice."""
+    ranges: dict[str, Range] = {}
+    for text in texts:
+        entry, equals, limits = text.partition("=")
+        component, _, name = entry.strip().partition(".")
+        if not equals or component != CONTROLLER or not name:
+            raise UserError(f"--over takes controller.NAME=LOW..HIGH, found {text!r}")
+        if name in ranges:
+            raise UserError(f"--over names {entry.strip()} twice")
+        ranges[name] = range_of(limits.strip(), f"--over {entry.strip()}")
+    return ranges

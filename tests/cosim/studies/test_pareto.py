@@ -1,0 +1,368 @@
+"""A front of several objectives: known functions, choice and verdict by hand, a short search, the command."""
+
+import csv
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cosim.errors import UserError
+from cosim.metric_meanings import QUANTITIES
+from cosim.scenario import load_scenario
+from cosim.scenario_run import run_scenario
+from cosim.studies import pareto as searching
+from cosim.studies.draws import draw_changes
+from cosim.studies.estimates import MeanEstimate
+from cosim.studies.journal import Journal
+from cosim.studies.nsga import nondominated
+from cosim.studies.numbers import PURPOSE, numbers
+from cosim.studies.pareto import pareto
+from cosim.studies.pareto_files import save
+from cosim.studies.pareto_front import (
+    DOMINATED,
+    FRONT,
+    LC,
+    LOST,
+    RULE,
+    Front,
+    ParetoPoint,
+    Search,
+    limits_of,
+    objectives_of,
+)
+from cosim.studies.ranges import Range
+from cosim.studies.tunables import Tunable, TunedController
+from cosim.studies.tuning import Grid, Outcome, Point, Tuning, TuningProblem
+from tests.cosim.command import ended, finished, journal_rows, started
+
+THREE = objectives_of(["settling", "energy", "variation"], QUANTITIES)
+TUNABLES = (Tunable("a_min", Range(0.1, 1.0)), Tunable("b_max", Range(1.0, 5.0)))
+
+# The search, on functions whose front is known
+
+
+def circle(_generation, points):
+    """Distances to two corners, of which the first is out of bounds: the front is the edge from x = 0.25 to 1, y = 0."""
+    x, y = points.T
+    return np.column_stack([x**2 + y**2, (1.0 - x) ** 2 + y**2]), np.maximum(0.25 - x, 0.0)[:, None]
+
+
+def test_the_search_finds_the_feasible_front_and_the_same_again():
+    first = np.random.default_rng(2).random((16, 2))
+    found = nondominated(circle, first, 2, 30, 1)
+    assert found[:, 0].min() >= 0.25
+    assert found[:, 0].min() < 0.3
+    assert found[:, 0].max() > 0.95
+    assert found[:, 1].max() < 0.05
+    np.testing.assert_array_equal(nondominated(circle, first, 2, 30, 1), found)
+    assert not np.array_equal(nondominated(circle, first, 2, 30, 2), found)
+
+
+def test_a_search_without_a_feasible_point_finds_none():
+    found = nondominated(lambda _g, x: (np.ones((len(x), 2)), np.ones((len(x), 1))), np.eye(4, 2), 2, 2, 1)
+    assert len(found) == 0
+
+
+# What is asked for
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        (["settling", "energy", "variation"], ["settling_time", "energy", "voltage_variation"]),
+        (["steady_rms", " integral"], ["steady_rms", "integral_q2"]),
+    ],
+)
+def test_objectives_are_named_by_role_or_metric(names, found):
+    assert [q.name for q in objectives_of(names, QUANTITIES)] == found
+
+
+SEVERAL = {
+    f"settling_time[{s}]": dataclasses.replace(QUANTITIES["settling_time"], name=f"settling_time[{s}]") for s in "ab"
+}
+
+
+@pytest.mark.parametrize(
+    ("names", "quantities", "sentence"),
+    [
+        (["settling"], QUANTITIES, "a front needs two or more different objectives, found settling"),
+        (["settling", "settling_time"], QUANTITIES, "a front needs two or more different objectives, found settling, "),
+        (
+            ["settling", "peak"],
+            QUANTITIES,
+            "an objective must be one of integral, rms, settling, energy, variation, or of ",
+        ),
+        (
+            ["settling", "energy"],
+            SEVERAL,
+            "several metrics are for settling: settling_time[a], settling_time[b]; name one",
+        ),
+    ],
+)
+def test_objectives_that_cannot_be_are_refused_in_a_sentence(names, quantities, sentence):
+    with pytest.raises(UserError) as said:
+        objectives_of(names, quantities)
+    assert str(said.value).startswith(sentence)
+
+
+def test_limits_are_of_objectives_and_without_any_all_but_the_first_are_limited():
+    assert limits_of(["energy=1.2", "variation=2"], THREE) == {"energy": 1.2, "voltage_variation": 2.0}
+    assert Search(THREE, TUNABLES).bounds == {"energy": 1.0, "voltage_variation": 1.0}
+    assert Search(THREE, TUNABLES, {"energy": 1.2}).bounds == {"energy": 1.2}
+    for text, sentence in {
+        "energy": "--limit takes NAME=FACTOR, found 'energy'",
+        "rms=1": "an objective must be one of .* found 'rms'",
+    }.items():
+        with pytest.raises(UserError, match=sentence):
+            limits_of([text], THREE)
+    with pytest.raises(UserError, match="--limit names energy twice"):
+        limits_of(["energy=1", "energy=2"], THREE)
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ({"population": 3}, "population must be at least 4, found 3"),
+        ({"held_out": 1}, "held-out must be at least 2, found 1"),
+        ({"generations": 0}, "generations must be at least 1, found 0"),
+        ({"limits": {"energy": 0.0}}, "the limit of energy must be positive and finite, found 0.0"),
+        ({"tunables": ()}, "a front needs numbers to tune, found none"),
+    ],
+)
+def test_a_search_that_means_nothing_is_refused_in_a_sentence(options, sentence):
+    with pytest.raises(UserError, match=f"^{sentence}$"):
+        Search(**{"objectives": THREE, "tunables": TUNABLES, **options})
+
+
+# The choice and the verdict, on points made by hand
+
+
+def point(kind, searched, held=None, half=0.01, a_min=0.5):
+    """Return a point with its objectives, those of the LC being 1."""
+    held = searched if held is None else held
+    over = tuple(MeanEstimate(value - 1.0, half) for value in held)
+    values = {} if kind == LC else {"a_min": a_min, "b_max": 2.0}
+    return ParetoPoint(kind, values, tuple(searched), tuple(map(MeanEstimate, held)), over, 8, 8)
+
+
+def front(*points, limits=None):
+    search = Search(THREE, TUNABLES, limits or {})
+    linear = point(LC, (1.0, 1.0, 1.0))
+    stop = Outcome(Point(None, None, 1.0, 1.0), 1.0, 1.0, 8, 8)
+    rule = Tuning("settling_time", {stop.point: stop}, (stop.point,), stop, {})
+    points = (linear, *points)
+    return Front(search, points, searching._chosen(points, search), rule, True)
+
+
+def test_the_chosen_point_keeps_the_limits_in_all_draws_and_is_best_where_it_was_searched():
+    flattered = point(FRONT, (0.6, 0.9, 0.9), (0.3, 0.9, 0.9))
+    best = point(FRONT, (0.5, 1.0, 1.0), (0.55, 0.99, 0.99))
+    over = point(FRONT, (0.4, 0.99, 0.99), (0.4, 1.01, 0.99))
+    over_before = point(FRONT, (0.4, 1.01, 0.99), (0.4, 0.99, 0.99))
+    beaten = point(DOMINATED, (0.2, 0.5, 0.5))
+    fallen = point(LOST, (0.1, 0.5, 0.5))
+    found = front(flattered, best, over, over_before, beaten, fallen)
+    assert found.chosen is best
+    assert front(over, over_before).chosen is None
+    assert front(flattered, best, over, limits={"energy": 1.1}).chosen is over
+
+
+def test_the_verdict_says_what_is_gained_or_that_nothing_is():
+    gains = front(point(FRONT, (0.5, 0.9, 0.95))).verdict()
+    assert gains.startswith(
+        "the LC gains: with ∫V² dt at most 1 times the LC's and variation of V at most 1 times the LC's "
+    )
+    assert "settling -50.0 ± 1.0 % better" in gains
+    assert gains.endswith("in 8 draws that the search did not see")
+    open_ = front(point(FRONT, (0.995, 0.9, 0.95))).verdict()
+    assert open_.startswith("the LC does not gain: ")
+    assert "no point is decidedly better in settling" in open_
+    assert "settling -0.5 ± 1.0 % open" in open_
+    none = front(point(FRONT, (0.5, 1.5, 0.95)), point(FRONT, (1.5, 1.2, 0.9))).verdict()
+    assert none.startswith("the LC does not gain: no point of the front keeps ∫V² dt at most 1 times")
+    assert "settling -50.0 ± 1.0 % better, ∫V² dt +20.0 ± 1.0 % worse" in none
+    assert "all that was found loses the plant" in front(point(LOST, (0.5, 0.5, 0.5))).verdict()
+
+
+def test_where_the_chosen_point_is_at_the_end_of_a_range_it_is_said():
+    assert front(point(FRONT, (0.5, 0.9, 0.9), a_min=0.1)).at_ends() == ["a_min at 0.1"]
+    assert front(point(FRONT, (0.5, 0.9, 0.9))).at_ends() == []
+
+
+# A short search
+
+
+GRID = Grid(a_min=(1.0, 0.5), b_max=(1.0,), u_max=(1.5,), mu=(1.0,))
+WRITTEN = ["best.json", "best.toml", "front.csv", "front.png"]
+
+
+@pytest.fixture(scope="module")
+def tilt(fmus, design):
+    scenario, folder = load_scenario("tilt")
+    scenario = scenario.changed({"run.duration": 0.5, "plant.start.noise_std": 1e-4})
+    return TuningProblem(scenario, folder, fmus, design, draws=2)
+
+
+@pytest.fixture(scope="module")
+def search(tilt, design):
+    over = {"a_min": Range(0.1, 1.0), "b_max": Range(1.0, 4.0), "u_max": Range(0.5, 10.0)}
+    tunables = tuple(TunedController(tilt, design).tunables(over))
+    objectives = objectives_of(["integral", "energy"], QUANTITIES)
+    return Search(objectives, tunables, {"energy": 2.0}, population=6, generations=3, held_out=4, seed=3)
+
+
+@pytest.fixture(scope="module")
+def look(tilt, search, design):
+    """Look for the front with a journal; return it and what was said."""
+
+    def go(path, progress=None):
+        said = []
+        with Journal(path, PURPOSE) as journal:
+            return pareto(tilt, search, TunedController(tilt, design), GRID, journal, 2, progress, said.append), said
+
+    return go
+
+
+@pytest.fixture(scope="module")
+def found(look, tmp_path_factory):
+    return look(tmp_path_factory.mktemp("front") / "runs.sqlite")
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Write no picture: drawing takes longer than the runs."""
+    for name in ("tuning_files", "pareto_files"):
+        monkeypatch.setattr(f"cosim.studies.{name}.save_figure", lambda *_: None)
+
+
+def test_the_front_is_judged_on_draws_that_the_search_did_not_see(found, tilt, search):
+    front, (said,) = found
+    assert said.startswith("12 runs in ")
+    assert "the generations that follow are up to 24 runs, about " in said
+    assert set(tilt.held_out(4)).isdisjoint(tilt.numbers)
+    assert front.random
+    kinds = [p.kind for p in front.points]
+    assert (kinds[0], kinds.count(LC)) == (LC, 1)
+    assert kinds.count(RULE) == len(front.rule.way) >= 1
+    best = min(front.of(FRONT), key=lambda p: p.held_out[0].value)
+    scenario = tilt.base.changed(dict(best.setting.changes))
+    runs = [
+        numbers(run_scenario(scenario.changed(draw_changes(scenario, n)), tilt.fmus, tilt.folder)) for n in range(5, 9)
+    ]
+    for q, value in zip(search.objectives, best.held_out, strict=True):
+        assert value.value == pytest.approx(np.mean([run[q.name] for run in runs]), rel=1e-12)
+    pairs = [tuple(e.value for e in p.held_out) for p in front.of(FRONT)]
+    assert not any(a[0] <= b[0] and a[1] <= b[1] and a != b for a in pairs for b in pairs)
+
+
+def test_an_interrupted_search_goes_on_and_finds_the_same_front(found, look, tilt, tmp_path, undrawn):
+    def interrupt(what, done, _total):
+        if what == "generation 2 of 3" and done == 5:
+            raise KeyboardInterrupt
+
+    journal = tmp_path / "runs.sqlite"
+    with pytest.raises(KeyboardInterrupt):
+        look(journal, interrupt)
+    cut = journal_rows(journal)
+    front, _ = look(journal)
+    assert journal_rows(journal)[: len(cut)] == cut
+    tables = []
+    for name, one in (("whole", found[0]), ("cut", front)):
+        save(one, tilt, tmp_path / name)
+        tables.append((tmp_path / name / "front.csv").read_bytes())
+    assert tables[0] == tables[1]
+    size = len(journal_rows(journal))
+    assert look(journal)[1] == []  # nothing is run again, so that nothing can be predicted
+    assert len(journal_rows(journal)) == size
+
+
+def test_a_point_that_loses_the_plant_is_infeasible_and_so_is_one_out_of_reach(found, tilt, search, design, tmp_path):
+    def draw(kept=1.0, energy=1.0):
+        return {"kept": kept, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": energy}
+
+    with Journal(tmp_path / "runs", PURPOSE) as journal:
+        judge = searching._Judge(tilt, search, TunedController(tilt, design), journal, 1)
+        judge.linear, judge.reach = [draw(), draw()], [4.0, 4.0]
+        assert judge.searched([draw(energy=2.0), draw(energy=4.0)]) == (pytest.approx([0.0, math.log(3.0)]), 0.0)
+        violations = [judge.searched(draws)[1] for draws in ([draw(energy=9.0)] * 2, [draw(), {}], [{}, {}])]
+        assert 0.0 < violations[0] < 1.0 < violations[1] < violations[2] == searching.WORST
+        judge.linear = [draw(), draw(kept=0.0)]
+        assert judge.searched([draw(), {}])[1] == 0.0  # the LC loses one too
+
+
+def test_the_chosen_point_is_written_as_a_scenario_that_gives_its_numbers(found, tilt, search, tmp_path):
+    front = found[0]
+    assert front.chosen is not None
+    paths = save(front, tilt, tmp_path / "out")
+    assert sorted(path.name for path in paths) == WRITTEN
+    assert (tmp_path / "out" / "front.png").read_bytes().startswith(b"\x89PNG")
+    scenario, beside = load_scenario(str(tmp_path / "out" / "best.toml"))
+    runs = [numbers(run_scenario(scenario.changed(draw_changes(scenario, n)), tilt.fmus, beside)) for n in range(5, 9)]
+    found = [np.mean([run[q.name] for run in runs]) for q in search.objectives]
+    assert found == pytest.approx([e.value for e in front.chosen.held_out], rel=1e-12)
+    rows = list(csv.DictReader((tmp_path / "out" / "front.csv").open(encoding="utf-8")))
+    assert [row["kind"] for row in rows if row["chosen"] == "1"] == [FRONT]
+    (row,) = (row for row in rows if row["chosen"] == "1")
+    assert {name: float(row[name]) for name in front.chosen.values} == front.chosen.values
+    assert float(row["energy over LC"]) == front.chosen.over_linear[1].value
+    assert len(rows) == len(front.points)
+
+
+def test_an_objective_that_the_linear_controller_lacks_is_refused(tilt, search, design, tmp_path):
+    asked = dataclasses.replace(search, objectives=objectives_of(["integral", "rms"], QUANTITIES), limits={})
+    with (
+        Journal(tmp_path / "runs", PURPOSE) as journal,
+        pytest.raises(UserError, match="the LC, which in this scenario has no steady_rms yet at the end of a run"),
+    ):
+        pareto(tilt, asked, TunedController(tilt, design), GRID, journal, 2)
+
+
+# The command
+
+TINY = ("--a-min", "1,0.5", "--b-max", "1", "--u-max", "1.5", "--mu", "1", "--draws", "2", "--held-out", "4")
+SMALL = (*TINY, "--population", "6", "--generations", "2", "--workers", "1", "--set", "run.duration=0.3")
+
+
+def test_the_command_prints_and_writes_the_front_and_says_when_none_keeps_the_limits(elsewhere):
+    arguments = ("tune", "tilt", "--pareto", "integral,energy", *SMALL)
+    done = finished(started(*arguments, "--limit", "energy=3", cwd=elsewhere))
+    assert (done.returncode, done.stderr) == (0, "")
+    folder = Path("results/tune_tilt")
+    for name in WRITTEN:
+        assert f"wrote {folder / name}" in done.stdout
+    assert "the front, 4 draws that the search did not see; change over the LC" in done.stdout
+    assert "chosen: a_min " in done.stdout
+    assert "the LC gains: with ∫V² dt at most 3 times the LC's" in done.stdout
+    done = ended(*arguments, "--limit", "energy=0.001", cwd=elsewhere)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "the LC does not gain: no point of the front keeps ∫V² dt at most 0.001 times the LC's" in done.stdout
+    assert f"removed {folder / 'best.toml'}" in done.stdout
+    assert sorted(path.name for path in (elsewhere / folder).iterdir()) == ["front.csv", "front.png", "runs.sqlite"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (
+            ("--limit", "energy=1"),
+            "--over, --gain, --limit, --population, --generations, --held-out and --seed are for",
+        ),
+        (("--pareto", "settling,energy", "--measure", "energy"), "--measure and --most-chattering are for the rule"),
+        (("--pareto", "settling,elegance"), "an objective must be one of integral, rms, settling, energy, variation"),
+        (("--pareto", "settling,energy", "--population", "2"), "population must be at least 4, found 2"),
+        (("--pareto", "settling,energy", "--over", "controller.lwa=1..2"), "controller.lwa cannot be tuned"),
+    ],
+)
+def test_a_mistake_is_one_sentence(tmp_path, fmus, arguments, sentence):
+    done = ended("tune", "tilt", "--fmus", fmus, *arguments, cwd=tmp_path)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1)
+    assert done.stderr.startswith(f"error: {sentence}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_the_optimizer_the_extra_is_named(elsewhere, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pymoo.algorithms.moo.nsga2", None)
+    done = ended("tune", "tilt", "--pareto", "integral,energy", *SMALL, cwd=elsewhere)
+    assert (done.returncode, done.stderr) == (2, 'error: tune --pareto needs pymoo: pip install "qube-ihc[pareto]"\n')
