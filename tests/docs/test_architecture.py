@@ -11,7 +11,15 @@ from tests.test_imports import graph, modules
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-PARTS = ("cosim.cli", "cosim.hil", "cosim.paper", "cosim.studies", "ihc_fmu.pendulum", "ihc_fmu.regulator", "plant_fmu.linear")
+PARTS = (
+    "cosim.cli",
+    "cosim.hil",
+    "cosim.paper",
+    "cosim.studies",
+    "ihc_fmu.pendulum",
+    "ihc_fmu.regulator",
+    "plant_fmu.linear",
+)
 SLAVES = ("ihc_fmu.pendulum.slave", "ihc_fmu.regulator.slave", "plant_fmu.linear.slave", "plant_fmu.slave")
 FILES = modules()
 
