@@ -127,27 +127,21 @@ def super_twisting(s: float, v: float, rate: float, h: float, implicit: bool) ->
     """Return w and the next v of w = -k_1 |s|^(1/2) sign(s) + v, v' = -k_2 sign(s), for s' = w + d and samples of `h` [s].
 
     k_1 = 1.5 sqrt(L), k_2 = 1.1 L with L the `rate`, the largest |d'|: s comes to 0 in finite time, and v to -d (A. Levant,
-    Int. J. Control 58 (1993), 1247-1263). Explicit Euler's method takes the present s and v. The implicit one takes the next
-    ones, as the set-valued signs of the next s = s + h w admit: with b = s + h v, |b| > h^2 k_2,
-
-        next s = z^2 sign(b),   z^2 + h k_1 z = |b| - h^2 k_2,   next v = v - h k_2 sign(b),
-
-    and elsewhere the next s = 0 and w = next v = -s/h: without noise it does not chatter (B. Brogliato, A. Polyakov and
-    D. Efimov, IEEE Trans. Automatic Control 65(8), 2020, 3707-3713).
+    Int. J. Control 58 (1993), 1247-1263). Explicit Euler's method chatters. The `implicit` one takes the root of the next s
+    for |s|^(1/2), next s = s - h k_1 |next s|^(1/2) sign(next s), as if v = -d; and where |s| < 4 h^2 k_2, s/(4 h^2 k_2)
+    for sign(s): near 0 next s = h (v + d), next v = v - s/(4 h), both poles are 1/2, and without noise it comes to rest.
     """
     k_1, turn = PROPORTIONAL * sqrt(rate), h * (INTEGRAL * rate)
-    if not implicit:
-        size = k_1 * sqrt(abs(s))
-        w = v - size if s > 0.0 else v + size
-        return w, v - turn if s > 0.0 else v + turn if s < 0.0 else v
-    b = s + h * v
-    excess = abs(b) - h * turn
-    if excess <= 0.0:
-        return -s / h, -s / h
-    half = 0.5 * (h * k_1)
-    z = excess / (half + sqrt(half * half + excess))
-    moved = v - turn if b > 0.0 else v + turn
-    return (moved - k_1 * z if b > 0.0 else moved + k_1 * z), moved
+    size = abs(s)
+    if implicit:
+        half = 0.5 * (h * k_1)
+        root = size / (half + sqrt(half * half + size)) if size > 0.0 else 0.0
+        change = turn if size >= 4.0 * (h * turn) else size / (4.0 * h)
+    else:
+        root, change = sqrt(size), turn
+    if s > 0.0:
+        return v - k_1 * root, v - change
+    return v + k_1 * root, v + change if s < 0.0 else v
 
 
 def winds_up(wanted: float, change: float, low: float, high: float) -> bool:

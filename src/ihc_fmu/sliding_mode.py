@@ -102,10 +102,10 @@ class Surface:
 def certified_surface(A: Array, B: Array, K: Array, P: Array) -> Surface:
     """Return the surface S = (B' P B)^-1 B' P of a design, on which s' = -kappa s + w + d under u = K_s x + w.
 
-    On S x = 0 x' P x decreases whatever the inputs, since it does under K, (A + B K)' P + P (A + B K) < 0, and B adds nothing
-    to it there: the sliding motion is stable for every certified design. kappa is that of the linear controller in the mean
-    over the unit ball, -tr(S (A + B K) P^-1 S')/tr(S P^-1 S') > 0 [1/s], so that K_s is near K. The rates are kappa times
-    the largest linear command that reaching takes on the ball, kappa |S_i x|.
+    On S x = 0 x' P x decreases whatever the inputs: it does under K, (A + B K)' P + P (A + B K) < 0, and there other inputs
+    add nothing to it. So the sliding motion is stable for every certified design. kappa is that of the linear controller in
+    the mean over the unit ball, -tr(S (A + B K) P^-1 S')/tr(S P^-1 S') > 0 [1/s], so that K_s is near K. The rates are
+    those of what the linear part answers to the ball's largest S_i x, kappa |S_i x|, within 1/kappa.
     """
     S = np.linalg.pinv(B.T @ P @ B) @ B.T @ P
     of_ball = np.linalg.solve(P, S.T)

@@ -714,23 +714,19 @@ static inline void homogeneous_law(const block_design *d, double r, double h, co
 /* ---- Super-twisting ---------------------------------------------------------------------------------------------- */
 
 /* w = -k_1 |s|^(1/2) sign(s) + v, v' = -k_2 sign(s), k_1 = 1.5 sqrt(rate), k_2 = 1.1 rate, by Euler's method for samples of
- * h, implicit or explicit; returns w, and the next v in `moved`. */
+ * h, explicit, or implicit with a linear sign where |s| < 4 h^2 k_2; returns w, and the next v in `moved`. */
 static inline double super_twisting(double s, double v, double rate, double h, int implicit, double *moved)
 {
     const double k_1 = STA_PROPORTIONAL * sqrt(rate), turn = h * (STA_INTEGRAL * rate);
-    if (!implicit) {
-        const double size = k_1 * sqrt(fabs(s));
-        *moved = s > 0.0 ? v - turn : s < 0.0 ? v + turn : v;
-        return s > 0.0 ? v - size : v + size;
+    const double size = fabs(s);
+    double root = sqrt(size), change = turn;
+    if (implicit) {
+        const double half = 0.5 * (h * k_1);
+        root = size > 0.0 ? size / opaque(half + sqrt(half * half + size)) : 0.0;
+        change = size >= 4.0 * (h * turn) ? turn : size / (4.0 * h);
     }
-    const double b = s + h * v, excess = fabs(b) - h * turn;
-    if (excess <= 0.0) {
-        return *moved = -s / h;
-    }
-    const double half = 0.5 * (h * k_1);
-    const double z = excess / (half + sqrt(opaque(half * half + excess)));
-    *moved = b > 0.0 ? v - turn : v + turn;
-    return b > 0.0 ? *moved - k_1 * z : *moved + k_1 * z;
+    *moved = s > 0.0 ? v - change : s < 0.0 ? v + change : v;
+    return s > 0.0 ? v - k_1 * root : v + k_1 * root;
 }
 
 /* Whether a change of an input's integral would push the wanted input farther beyond its limits. */
