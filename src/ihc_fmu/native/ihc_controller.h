@@ -5,7 +5,7 @@
  *
  *     LC     u = k_lin x
  *     SMC    u = smc_k x - smc_rho sign(smc_c x)
- *     STA    u = smc_k x - k_1 |s|^(1/2) sign(s) + v,  v' = -k_2 sign(s),  s = smc_c x
+ *     STA    u = sta_k x - k_1 |s|^(1/2) sign(s) + v,  v' = -k_2 sign(s),  s = sta_c x
  *     IHC    u = k_lin x + sum_i (kz_i s^(n-i+1) - kz_i) z_i      eq. (8), Remark 5,   r = ||x||_d, eq. (12)
  *
  * Pure functions of their arguments: no allocation, no globals, no input or output, every loop bounded. The order of
@@ -47,6 +47,8 @@ typedef struct {
     double smc_c[IHC_ORDER];                   /* sliding surface */
     double smc_k[IHC_ORDER];                   /* linear part of the sliding mode law */
     double smc_rho;                            /* switching gain [V] */
+    double sta_c[IHC_ORDER];                   /* sliding surface of the super-twisting law */
+    double sta_k[IHC_ORDER];                   /* its linear part */
     double sta_rate;                           /* L of k_1 = 1.5 sqrt(L), k_2 = 1.1 L [V/s] */
     double sample_time;                        /* [s] */
     double voltage_limit;                      /* [V] */

@@ -225,6 +225,8 @@ INTERFACE = Interface(
         _input(
             "theta_setpoint", "rad", "where the arm is to be held: law, norm and swing-up act on theta - theta_setpoint"
         ),
+        *_gain_row("sta_c", "sliding surface s = c x of the super-twisting law, c b = 1", SURFACE_UNITS),
+        *_gain_row("sta_k", "linear part of the super-twisting law"),
         _tunable(
             "sta_rate",
             10.0,

@@ -125,6 +125,8 @@ class IhcControllerUnit(SampledUnit):
         self.smc_c = [values[name] for name in vector("smc_c")]
         self.smc_k = [values[name] for name in vector("smc_k")]
         self.smc_rho: float = values["smc_rho"]
+        self.sta_c = [values[name] for name in vector("sta_c")]
+        self.sta_k = [values[name] for name in vector("sta_k")]
         self.sta_rate: float = values["sta_rate"]
 
     def _take_kalman_filter(self) -> None:
@@ -286,8 +288,8 @@ class IhcControllerUnit(SampledUnit):
     def _super_twisting(self, x: list[float]) -> float:
         """Return the command, and advance its integral part but where that would push it farther beyond its limit."""
         state, implicit = self.state, self.ahead is not None
-        w, moved = laws.super_twisting(dot(self.smc_c, x), state.integral, self.sta_rate, self.sample_time, implicit)
-        command = dot(self.smc_k, x) + w
+        w, moved = laws.super_twisting(dot(self.sta_c, x), state.integral, self.sta_rate, self.sample_time, implicit)
+        command = dot(self.sta_k, x) + w
         wanted = command - state.disturbance if self.compensate else command
         if not laws.winds_up(wanted, moved - state.integral, -self.limit, self.limit):
             state.integral = flushed(moved, LEAST)

@@ -12,7 +12,7 @@ from ihc_fmu import homogeneity, laws
 from ihc_fmu.pendulum.interface import INTERFACE, LAWS
 from ihc_fmu.pendulum.supervisor import Mode
 from ihc_fmu.sampled_unit import Fault
-from ihc_fmu.sliding_mode import fitted_smc
+from ihc_fmu.sliding_mode import fitted_smc, tuned_sta
 from tests.ihc_fmu.conftest import chain_of
 
 INPUTS = [v.name for v in INTERFACE.of("input")]
@@ -80,13 +80,14 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
     assert 0.1 < exact < 2.0
     assert abs(estimate / exact - 1) > 1e-3
     smc: Any = fitted_smc(design.A, design.b)
+    sta: Any = tuned_sta(design.A, design.b)[0]
     cases = [
         ({"law": "LC"}, design.k_lin @ x, 1.0),
         ({"law": "SMC"}, laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x), 1.0),
         *(
             (
                 {"law": "STA", "discretization": discretization, "sta_rate": 7.0},
-                smc.k_eq @ x + laws.super_twisting(smc.c @ x, 0.0, 7.0, 1e-3, discretization == "semi_implicit")[0],
+                sta.k_eq @ x + laws.super_twisting(sta.c @ x, 0.0, 7.0, 1e-3, discretization == "semi_implicit")[0],
                 1.0,
             )
             for discretization in ("explicit", "semi_implicit")
@@ -322,7 +323,7 @@ def test_integral_of_super_twisting_begins_at_0_when_the_law_takes_over_and_stan
         unit.step(k * 1e-3, 1e-3, given((0.0, 0.1, 0.0, 0.0)))
         assert (outputs(unit)["voltage"], unit.state.integral) == (-1.0, 0.0)
     for k in range(20, 40):
-        unit.step(k * 1e-3, 1e-3, given((0.01, 0.0, 0.0, 0.0)))
+        unit.step(k * 1e-3, 1e-3, given((1e-4, 0.0, 0.0, 0.0)))
     assert unit.state.integral > 0.1  # s < 0, and the command is not beyond its upper limit
     unit.step(40e-3, 1e-3, given((0.0, 2.0, 0.0, 0.0)))
     assert (outputs(unit)["mode"], unit.state.integral) == (Mode.SWING_UP, 0.0)
