@@ -90,9 +90,9 @@ def linear_pole_smc(A: Array, b: Array, k_lin: Array) -> SlidingMode:
     return sliding_mode_design(A, b, np.delete(poles, fastest), kappa=-float(poles[fastest].real), rho=1.0)
 
 
-TUNED_POLES = (-9.07, -14.1, -20.7)
-TUNED_KAPPA = 2.5
-TUNED_RATE = 1.35
+TUNED_POLES = (-7.18, -16.76 + 11.73j, -16.76 - 11.73j)
+TUNED_KAPPA = 20.5
+TUNED_RATE = 0.383
 
 
 def tuned_sta(A: Array, b: Array) -> tuple[SlidingMode, float]:
