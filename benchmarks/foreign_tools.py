@@ -17,9 +17,10 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from cosim.master import Order, simulate
+from cosim.master import simulate
 from cosim.pendulum import WIRES
 from cosim.pendulum_export import export_units
+from cosim.rig import Order
 from cosim.structure import Component, SystemStructure
 from ihc_fmu.pendulum.start_values import default_design
 

@@ -30,9 +30,10 @@ from fmpy.fmi2 import (
 from fmpy.ssp.simulation import simulate_ssp
 
 from benchmarks.monolithic import Monolithic
-from cosim.master import Engine, Order, simulate
+from cosim.master import simulate
 from cosim.pendulum import WIRES
 from cosim.pendulum_export import Kind, export_units
+from cosim.rig import Engine, Order
 from cosim.structure import Component, SystemStructure
 from fmu_export.variables import Value
 from ihc_fmu.pendulum.start_values import controller_start_values, default_design

@@ -12,7 +12,7 @@ from fmu_export.variables import did_you_mean
 from .errors import UserError
 from .fmu import RECORDED
 from .integration import opened
-from .structure import SystemStructure, Wire
+from .structure import Signal, SystemStructure, Wire
 from .unit_definitions import NO_UNIT, check_units, declared_unit, unit_in, unit_of
 
 
@@ -35,6 +35,10 @@ class Coupling:
             if kind not in RECORDED:
                 raise UserError(f"{instance}.{variable} cannot follow a function of time, it is a {kind}")
         self._check_single_sources()
+
+    def drive(self, signals: Sequence[Signal]) -> None:
+        """Replace the signals by others on the same inputs, in the same order."""
+        self.signals = [(target, signal) for (target, _), signal in zip(self.signals, signals, strict=True)]
 
     def outputs(self) -> list[str]:
         """Return the names of all that is recorded by default: the outputs, and inputs whose signals want it."""

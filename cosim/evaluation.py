@@ -233,6 +233,8 @@ def pendulum_evaluation(known: Container[str], arm: str | float = 0.0) -> Evalua
 
 def evaluation_in(result: Recording) -> Evaluation:
     """Return what a result is judged by: what its metadata keep, the pendulum's where they keep nothing."""
+    if result.judged_by is not None:
+        return result.judged_by
     kept = result.metadata.get("evaluation")
     return pendulum_evaluation(result.signals) if kept is None else _kept(json.dumps(kept, sort_keys=True))
 

@@ -107,6 +107,8 @@ class Instance:
     _fmu: Any = None
     _alive: bool = False
     _running: bool = False
+    _callbacks: Any = None
+    _setting: tuple[tuple[str, ...], list[Port]] = ((), [])
     _library: ClassVar[type[Strict]] = FMU2Strict
 
     def __post_init__(self) -> None:
@@ -169,17 +171,43 @@ class Instance:
 
     def start(self, start: Mapping[str, StartValue], start_time: float, stop_time: float | None) -> None:
         """Instantiate and set the start values, up to initialization mode; None: no stop time."""
+        self._set_up(start_time, stop_time)
+        said = len(self.messages)
+        if not self._set_at_once(start):
+            del self.messages[said:]
+            self.free()  # and again from the beginning, to name the value that is refused
+            self._set_up(start_time, stop_time)
+            for name, value in start.items():
+                self._set(name, value)
+        self._call("enterInitializationMode", self._fmu.enterInitializationMode)
+
+    def _set_up(self, start_time: float, stop_time: float | None) -> None:
         self._instantiate()
-        fmu = self._fmu
-        self._call(
-            "setupExperiment", fmu.setupExperiment, tolerance=self.tolerance, startTime=start_time, stopTime=stop_time
-        )
-        for name, value in start.items():
-            variable = self.variables[name]
-            setters = {"Real": fmu.setReal, "Boolean": fmu.setBoolean, "String": fmu.setString}
-            setter = setters.get(variable.type, fmu.setInteger)
-            self._call(f"setting {name} = {value}", setter, [variable.valueReference], [value])
-        self._call("enterInitializationMode", fmu.enterInitializationMode)
+        experiment = {"tolerance": self.tolerance, "startTime": start_time, "stopTime": stop_time}
+        self._call("setupExperiment", self._fmu.setupExperiment, **experiment)
+
+    def _set(self, name: str, value: StartValue) -> None:
+        variable = self.variables[name]
+        setters = {"Real": self._fmu.setReal, "Boolean": self._fmu.setBoolean, "String": self._fmu.setString}
+        setter = setters.get(variable.type, self._fmu.setInteger)
+        self._call(f"setting {name} = {value}", setter, [variable.valueReference], [value])
+
+    def _set_at_once(self, start: Mapping[str, StartValue]) -> bool:
+        """Set start values by a call for each type; return whether all succeeded."""
+        names = tuple(start)
+        if self._setting[0] != names:
+            self._setting = names, self.ports([n for n in names if self.variables[n].type in RECORDED], "Set")
+        for port in self._setting[1]:
+            port.values[:] = [start[name] for name in port.names]
+            status = port.call(self._fmu.component, port.references, len(port.names), port.values)
+            if status == _FATAL:
+                self.fail(f"setting {', '.join(port.names)}", status)
+            if status not in _GOOD:
+                return False
+        for name in names:
+            if self.variables[name].type not in RECORDED:
+                self._set(name, start[name])
+        return True
 
     def run(self) -> None:
         """Leave initialization mode."""
@@ -233,8 +261,8 @@ class Instance:
 
         return step
 
-    def close(self) -> None:
-        """Terminate and free the instance; one whose status was fatal may not be called any more and is left."""
+    def free(self) -> None:
+        """Terminate and free what runs; it can be started anew. One whose status was fatal may not be called and is left."""
         if self._fmu is None or not self._alive:
             return
         self._alive = False
@@ -245,24 +273,34 @@ class Instance:
             except fmpy.fmi1.FMICallException as error:
                 self.messages.append(f"terminate: {error}")
                 if error.status == _FATAL:
+                    self._fmu = None
                     return
         self._fmu.fmi2FreeInstance(self._fmu.component)
-        self._unpacked.give_back(self._fmu)
+
+    def close(self) -> None:
+        """Free what runs, and give the library back."""
+        self.free()
+        if self._fmu is not None:
+            self._unpacked.give_back(self._fmu)
+            self._fmu = None
 
     def _instantiate(self) -> None:
         with LOADING:
             where = Path.cwd()
             try:
-                self._fmu = self._unpacked.library(self._library, self.model_identifier, self.name)
-                keep_globals(self._unpacked.folder)
-                self._fmu.instantiate(callbacks=self._callbacks(), loggingOn=True)
+                if self._fmu is None:
+                    self._fmu = self._unpacked.library(self._library, self.model_identifier, self.name)
+                    keep_globals(self._unpacked.folder)
+                if self._callbacks is None:
+                    self._callbacks = self._made_callbacks()
+                self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
             except Exception as error:
                 raise FmuError(f"{self.name} ({self.path}): {error}{self.cause()}") from None
             finally:
                 os.chdir(where)  # FMPy leaves its own folder where loading fails
         self._alive = True
 
-    def _callbacks(self) -> Any:
+    def _made_callbacks(self) -> Any:
         _instances[id(self)] = self
         callbacks = fmpy.fmi2.fmi2CallbackFunctions()
         callbacks.logger = _logger
@@ -282,6 +320,7 @@ class Instance:
         """Raise FmuError for the call `what` that returned `status`."""
         if status == _FATAL:
             self._alive = False
+            self._fmu = None
         raise FmuError(f"{self.name}: {what} returned {status_text(status)}{self.cause()}")
 
     def cause(self) -> str:

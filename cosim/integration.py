@@ -79,6 +79,7 @@ class IntegratedInstance(ModelInstance):
     def start(self, start: Mapping[str, StartValue], start_time: float, stop_time: float | None) -> None:
         """Instantiate and set the start values, up to initialization mode; None: no stop time."""
         self._time, self._stop_time = start_time, math.inf if stop_time is None else stop_time
+        self._size, self._method = math.inf, DOP853
         super().start(start, start_time, stop_time)
 
     def run(self) -> None:

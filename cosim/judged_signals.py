@@ -26,7 +26,10 @@ MOST = math.sqrt(sys.float_info.max)
 
 def wrapped(angle: Array) -> Array:
     """Return angles [rad] wrapped to (-pi, pi]."""
-    return -((math.pi - angle) % (2.0 * math.pi) - math.pi)
+    turned = math.pi - angle
+    if not (np.min(turned, initial=0.0) >= 0.0 and np.max(turned, initial=0.0) < 2.0 * math.pi):
+        turned = turned % (2.0 * math.pi)  # which costs most of it, and leaves those in the range as they are
+    return -(turned - math.pi)
 
 
 def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) -> list[str]:
@@ -123,9 +126,14 @@ def error_norm(result: Recording, evaluation: Evaluation, group: Sequence[int]) 
 def angle_norm(result: Recording) -> Array:
     """Return |q| [rad] of the pendulum at each row: of the true angles where the result has them, else of the measured."""
     evaluation = evaluation_in(result)
+    check_angles(result, evaluation)
+    return error_norm(result, evaluation, (0, 1))
+
+
+def check_angles(result: Recording, evaluation: Evaluation) -> None:
+    """Raise UserError for a result without a pair of the pendulum's angles."""
     if evaluation.kind != "pendulum" or any(e.signal not in result.signals for e in evaluation.errors):
         raise UserError("the result has neither plant.theta and plant.delta nor the encoders' angles")
-    return error_norm(result, evaluation, (0, 1))
 
 
 def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:

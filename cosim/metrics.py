@@ -16,7 +16,7 @@ from ihc_fmu.arrays import QUIET
 
 from .errors import UserError
 from .evaluation import ACTING, SHARE, TOLERANCE, Evaluation, evaluation_in
-from .judged_signals import angle_norm, error_norm, missing_signals, takeovers
+from .judged_signals import check_angles, error_norm, missing_signals, takeovers
 from .metric_meanings import WINDOW, ZERO, MetricMeaning, measure_of, quantities_of
 from .recording import Recording
 
@@ -158,7 +158,9 @@ def variation_rate(time: Array, signal: Array) -> float:
 def has_every_row(result: Recording) -> bool:
     """Return whether rows are a communication step apart, as far as the result says how long a step is."""
     step = result.metadata.get("step")
-    return not isinstance(step, int | float) or float(np.median(np.diff(result.time))) < 1.5 * step
+    return not isinstance(step, int | float) or float(result.time[-1] - result.time[0]) < 1.5 * step * (
+        len(result.time) - 1
+    )
 
 
 def evaluate(result: Recording, tolerance: float | None = None, steady: float = WINDOW) -> Metrics:
@@ -230,7 +232,7 @@ def _check(result: Recording, evaluation: Evaluation) -> None:
     """Raise UserError where a result lacks what it is judged by."""
     missing = missing_signals(result.signals, evaluation)
     if evaluation.kind == "pendulum":
-        angle_norm(result)  # says which pairs of angles would do
+        check_angles(result, evaluation)  # says which pairs of angles would do
     if missing:
         raise UserError(f"the result has no signal {missing[0]!r}; it has {', '.join(result.signals)}")
 

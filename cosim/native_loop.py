@@ -118,9 +118,8 @@ Ahead = Callable[[float, float, int, int], Sequence[float]]
 class NativeLoop:
     """The C structs of one run, and all that they point to.
 
-    `wires`, `signals` and `conversions` (None: none) are, per instance in stepping order, (source, target),
-    (`Signal.ahead`, target) and (source, target, factor, offset); `reals` and `integers` are (recorded outputs, array with
-    a row for each record and a column for each output, of float64 and of int64), and `times` the rows' times.
+    `wires`, `signals` and `conversions` (None: none) are, per instance in stepping order, (source, target), targets and
+    (source, target, factor, offset); `reals` and `integers` are the recorded outputs.
     """
 
     def __init__(
@@ -129,24 +128,40 @@ class NativeLoop:
         inputs: Sequence[Sequence[Port]],
         outputs: Sequence[Sequence[Port]],
         wires: Sequence[Sequence[tuple[Slot, Slot]]],
-        signals: Sequence[Sequence[tuple[Ahead, Slot]]],
-        reals: tuple[Sequence[Slot], np.ndarray],
-        integers: tuple[Sequence[Slot], np.ndarray],
-        times: np.ndarray,
+        signals: Sequence[Sequence[Slot]],
+        reals: Sequence[Slot] = (),
+        integers: Sequence[Slot] = (),
         conversions: Sequence[Sequence[Conversion]] | None = None,
     ) -> None:
         self._advance = _advance()
-        self._kept: list[Any] = [instances, inputs, outputs, reals, integers, times]
+        self._kept: list[Any] = [instances, inputs, outputs]
+        self._driven: list[ctypes.Array] = []
         self._signals: list[tuple[Ahead, ctypes.Array]] = []
         parts = zip(instances, inputs, outputs, wires, conversions or [[] for _ in instances], signals, strict=True)
-        stages = [self._instance(*part) for part in parts]
+        self._stages = (_Instance * len(instances))(*[self._instance(*part) for part in parts])
         self.run = _Run(
-            instance_count=len(stages),
-            instances=self._array(_Instance, stages),
-            reals=self._reals(*reals),
-            integers=self._integers(*integers),
-            times=times.ctypes.data,
+            instance_count=len(self._stages),
+            instances=ctypes.addressof(self._stages),
+            reals=self._reals(reals),
+            integers=self._integers(integers),
         )
+
+    def drive(self, signals: Sequence[Ahead]) -> None:
+        """Say what the signals are, by their `Signal.ahead`, in the order of their targets."""
+        self._signals = list(zip(signals, self._driven, strict=True))
+
+    def begin(self, reals: np.ndarray, integers: np.ndarray, times: np.ndarray) -> None:
+        """Prepare a run of the instances as they have just been made.
+
+        `reals` (float64) and `integers` (int64) have a row for each record and a column for each output, `times` the rows'
+        times.
+        """
+        for stage, instance in zip(self._stages, self._kept[0], strict=True):
+            stage.component, stage.do_step = instance.pointers()
+        run = self.run
+        self._rows = (reals, integers, times)
+        run.reals.rows, run.integers.rows, run.times = (table.ctypes.data for table in self._rows)
+        run.done, run.failed_in = 0, 0
 
     def advance(
         self, start_time: float, step: float, steps: int, every: int, recorded: int, *, parallel: bool
@@ -197,14 +212,14 @@ class NativeLoop:
         outputs: Sequence[Port],
         wires: Sequence[tuple[Slot, Slot]],
         conversions: Sequence[Conversion],
-        signals: Sequence[tuple[Ahead, Slot]],
+        signals: Sequence[Slot],
     ) -> _Instance:
         component, do_step = instance.pointers()
         rows = []
-        for ahead, target in signals:
+        for target in signals:
             kind: Any = target[0]._type_
             values = (kind * SIGNAL_STEPS)()
-            self._signals.append((ahead, values))
+            self._driven.append(values)
             rows.append(_Signal(ctypes.addressof(values), _address(target), ctypes.sizeof(kind)))
         wire_rows = [_Wire(_address(s), _address(t), ctypes.sizeof(t[0]._type_)) for s, t in wires]
         scaled = [_Conversion(_address(s), _address(t), factor, offset) for s, t, factor, offset in conversions]
@@ -223,7 +238,7 @@ class NativeLoop:
             signals=self._array(_Signal, rows),
         )
 
-    def _reals(self, slots: Sequence[Slot], rows: np.ndarray) -> _Reals:
+    def _reals(self, slots: Sequence[Slot]) -> _Reals:
         spans: list[_Span] = []
         end = None
         for address in map(_address, slots):
@@ -232,12 +247,12 @@ class NativeLoop:
             else:
                 spans.append(_Span(address, 1))
             end = address + ctypes.sizeof(_D)
-        return _Reals(len(slots), len(spans), self._array(_Span, spans), rows.ctypes.data)
+        return _Reals(len(slots), len(spans), self._array(_Span, spans))
 
-    def _integers(self, slots: Sequence[Slot], rows: np.ndarray) -> _Integers:
+    def _integers(self, slots: Sequence[Slot]) -> _Integers:
         sources = (_P * max(1, len(slots)))(*[_address(s) for s in slots])
         self._kept.append(sources)
-        return _Integers(len(slots), ctypes.addressof(sources), rows.ctypes.data)
+        return _Integers(len(slots), ctypes.addressof(sources))
 
     def _array(self, kind: type[ctypes.Structure], rows: Sequence[ctypes.Structure]) -> int:
         array = (kind * max(1, len(rows)))(*rows)

@@ -12,6 +12,8 @@ from .errors import UserError
 if TYPE_CHECKING:
     import pandas
 
+    from .evaluation import Evaluation
+
 Array = np.ndarray
 
 
@@ -32,12 +34,15 @@ class Recording:
         Their units by the same names, "1" for none.
     metadata
         How it came about, in JSON types: scenario, FMUs, start values, wires, versions, messages.
+    judged_by
+        What it is judged by; None: what the metadata keep of that.
     """
 
     time: Array
     signals: dict[str, Array]
     units: dict[str, str]
     metadata: dict[str, Any] = field(default_factory=dict)
+    judged_by: Evaluation | None = field(default=None, repr=False)
 
     def __getitem__(self, name: str) -> Array:
         try:

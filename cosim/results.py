@@ -60,7 +60,7 @@ class Result(Recording):
 
     Parameters
     ----------
-    time, signals, units, metadata
+    time, signals, units, metadata, judged_by
         As of `Recording`.
 
     Examples

@@ -24,9 +24,10 @@ from .errors import UserError
 from .evaluation import EvaluateSection
 from .inputs import DisturbanceSection, SignalSection
 from .integration import Interface
-from .master import Engine, Order, step_count
+from .master import step_count
 from .names import PlainName
 from .pendulum_files import PENDULUM_FMUS
+from .rig import Engine, Order
 from .start_values import StartValue
 from .typed import Positive, checked
 from .wiring import CONTROLLER, PLANT, WireSection

@@ -21,7 +21,7 @@ from .offsets import OFFSETS, offsets, random_measurement
 from .pendulum import WIRES
 from .scenario import Scenario
 from .scenario_files import beside_or_here, check_fmus_exist, files
-from .start_values import StartValue
+from .start_values import StartValue, StartValues
 from .structure import Component, Signal, SystemStructure, Wire
 from .unit_definitions import check_units
 from .wiring import CONTROLLER, PLANT, Variables
@@ -40,7 +40,7 @@ def build_system(
     be, designs that fail their certificate, a controller that was designed for another model than the plant's, and a
     sample time of one of our controllers that does not fit the run's step.
     """
-    system = _Plan(scenario, fmus, folder, controller).system()
+    system = Plan(scenario, fmus, folder, controller).system()
     _check_sample_time(system, scenario.run.step)
     return system
 
@@ -50,20 +50,20 @@ def evaluation(scenario: Scenario, fmus: FilePath, folder: FilePath | None = Non
 
     Raises UserError for signals that the FMUs do not have.
     """
-    return _Plan(scenario, fmus, folder).evaluation()
+    return Plan(scenario, fmus, folder).evaluation()
 
 
 def system_and_evaluation(
     scenario: Scenario, fmus: FilePath, folder: FilePath | None = None
 ) -> tuple[SystemStructure, Evaluation | None]:
     """Return the system that `scenario` means and what its runs are judged by, read once; raises as each alone."""
-    plan = _Plan(scenario, fmus, folder)
+    plan = Plan(scenario, fmus, folder)
     judged = plan.evaluation()
     return plan.system(), judged
 
 
-class _Plan:
-    """A scenario with its files found and its FMUs' variables read."""
+class Plan:
+    """A scenario with its files found and its FMUs' variables read; raises as `build_system`."""
 
     def __init__(
         self, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None, controller: FilePath | None = None
@@ -88,6 +88,7 @@ class _Plan:
 
     @property
     def measurement(self) -> str:
+        """What the pendulum's controller gets."""
         return self.scenario.plant.measurement or "encoders"
 
     def _refuse_what_is_the_pendulums(self) -> None:
@@ -116,8 +117,11 @@ class _Plan:
             )
 
     def system(self) -> SystemStructure:
+        """Return the system."""
         wires = self.wires()
-        started = {name: self._start(name) for name in self.paths}
+        started = {
+            name: self.start(name, self.scenario.parts[name].start, self.scenario.run.seed) for name in self.paths
+        }
         signals = self.signals()
         check_signals(self.scenario.animation, self._signals_recorded(signals))
         if CONTROLLER in self.paths and wires not in WIRES.values():
@@ -138,6 +142,7 @@ class _Plan:
         return [*given, *(signal.target for signal in signals if signal.recorded)]
 
     def wires(self) -> tuple[Wire, ...]:
+        """Return the wires."""
         if self.scenario.wires is not None:
             listed = tuple(section.wire() for section in self.scenario.wires)
             wiring.check_ends(listed, self.variables)
@@ -151,6 +156,7 @@ class _Plan:
         return tuple(wiring.by_names(self.variables[CONTROLLER], self.variables[PLANT], measured))
 
     def signals(self) -> list[Signal]:
+        """Return what acts on inputs from outside."""
         signals = []
         disturbance = self.scenario.disturbance
         if disturbance.sines and disturbance.gain:
@@ -177,17 +183,24 @@ class _Plan:
         component, _, variable = name.partition(".")
         return self.variables.get(component, {}).get(variable)
 
-    def _start(self, name: str) -> dict[str, StartValue]:
-        own_start = self.scenario.parts[name].start
+    def start(self, name: str, own_start: StartValues, seed: int | None) -> dict[str, StartValue]:
+        """Return the start values of a component: `own_start`, as a scenario says them, and what follows from it.
+
+        `seed` draws what is left to chance of the plant; None: nothing.
+        """
         if name == CONTROLLER and self.balances:
             ideal = self.measurement if self.swings and self.scenario.wires is None else ""
             step = self.scenario.run.step
             return pendulum.controller_start(self.own[name], own_start, step, self.files.design, ideal)
         if name == PLANT:
-            seed = self.scenario.run.seed
             drawn = {} if seed is None else random_measurement({**self.own[name], **own_start}, seed)
-            return pendulum.plant_start(self.scenario.plant.parameters, self.folder) | drawn | own_start
+            return {**self._parameters, **drawn, **own_start}
         return dict(own_start)
+
+    @cached_property
+    def _parameters(self) -> dict[str, StartValue]:
+        """The start values of the plant's parameter set."""
+        return pendulum.plant_start(self.scenario.plant.parameters, self.folder)
 
     def _check_fed(self, wires: Sequence[Wire], signals: Sequence[Signal], start: Mapping[str, StartValue]) -> None:
         targets = [*(w.target for w in wires), *(s.target for s in signals)]
@@ -207,6 +220,7 @@ class _Plan:
         return listed
 
     def evaluation(self) -> Evaluation | None:
+        """Return what the runs are judged by; None where that is the pendulum's."""
         section = self.scenario.evaluate
         usual = set(self.wires()) in (set(wires) for wires in WIRES.values())
         if self.swings and self.balances and usual and section == EvaluateSection():  # type: ignore[call-arg]

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..errors import UserError
 from ..fmu import RECORDED, Instance
 from ..native_loop import NativeLoop
@@ -115,17 +113,7 @@ class ControllerFmu:
         self._outputs = self.instance.ports([v.name for v in self.instance.outputs()], "Get")
         slots |= {name: (port.values, i) for port in self._outputs for i, name in enumerate(port.names)}
         self._recorded = _views([slots[name] for name in (*self.layout.reals, *self.layout.integers)])
-        nothing = np.empty((0, 0))
-        self._c_loop = NativeLoop(
-            [self.instance],
-            [ports],
-            [voltage],
-            [[]],
-            [[]],
-            ([], nothing),
-            ([], nothing.astype(np.int64)),
-            nothing[:, :0],
-        )
+        self._c_loop = NativeLoop([self.instance], [ports], [voltage], [[]], [[]])
         self._step = self._c_loop.stepper(self.period)
 
     def begin(self, theta: float, delta: float) -> tuple[float, ...]:

@@ -213,6 +213,10 @@ class Study:
 
     def scenario(self, key: Key) -> Scenario:
         """Return the scenario of a run: the base, the conditions of its cell, its controller, its draw."""
+        return self.base.changed(self.changes(key))
+
+    def changes(self, key: Key) -> dict[str, Any]:
+        """Return what a run changes in the base."""
         changes: dict[str, Any] = {
             "name": scenario_name(key),
             "run.step": key.step,
@@ -228,7 +232,7 @@ class Study:
             changes["run.seed"] = key.draw
         elif key.draw:
             changes |= draw_changes(key.draw, key.parameters, delta_0)
-        return self.base.changed(changes)
+        return changes
 
     def save_scenario(self, key: Key, folder: Path | None = None) -> Path:
         """Write the scenario of a run as TOML below `folder`, None: the study's own, and return its path."""
@@ -239,8 +243,7 @@ class Study:
 
     def job(self, key: Key, **changes: Any) -> Job[Key]:
         """Return the run `key` as a job, with further `changes` to its scenario."""
-        scenario = self.scenario(key)
-        return Job(key, scenario.changed(changes) if changes else scenario, self.scenarios)
+        return Job(key, self.base, self.scenarios, self.changes(key) | changes)
 
     def keys(self) -> dict[str, list[Key]]:
         """Return the names of all runs that only leave numbers, by experiment."""

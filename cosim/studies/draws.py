@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,12 @@ def encoder_offsets(count: int, encoders: int = 2) -> tuple[tuple[float, ...], .
 
 
 def drawn(scenario: Scenario, draw: int, chance: Chance = PENDULUM) -> Scenario:
-    """Return the scenario of a draw, counted from 1: its encoder offsets, its seed of the noise.
+    """Return the scenario of a draw, counted from 1, see `draw_changes`."""
+    return scenario.changed(draw_changes(scenario, draw, chance))
+
+
+def draw_changes(scenario: Scenario, draw: int, chance: Chance = PENDULUM) -> dict[str, Any]:
+    """Return what a draw, counted from 1, changes in a scenario: its encoder offsets, its seed of the noise.
 
     What the scenario itself sets of these stays.
     """
@@ -64,4 +70,4 @@ def drawn(scenario: Scenario, draw: int, chance: Chance = PENDULUM) -> Scenario:
     if chance.noise:
         values["noise_seed"] = draw
     changes = {f"plant.start.{name}": value for name, value in values.items() if name not in scenario.plant.start}
-    return scenario.changed({**changes, "run.seed": None})
+    return {**changes, "run.seed": None}

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-import os
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, Generic, TypeVar
 
 from fmu_export.files import FilePath
 
-from ..interrupts import second_ends
+from ..prepared import Prepared
 from ..results import Result, SimulationError
 from ..scenario_run import run_scenario
 from .jobs import Job, K, anchored
 from .journal import Journal
 from .numbers import Numbers, numbers
+from .threads import Look, execute
 
 T = TypeVar("T")
+
+MOST_PREPARED = 8
+"""Scenarios that a thread keeps prepared."""
+
+LEASE = 0.2
+"""How long the runs last that a process reserves at a time in a shared journal [s], and that it keeps together."""
 
 
 def run_all(
@@ -29,54 +34,52 @@ def run_all(
     progress: Callable[[int, int], None] | None = None,
     done: Callable[[Job[K], T], None] | None = None,
     failed: Callable[[SimulationError], T] | None = None,
-    skip: Callable[[Job[K]], tuple[bool, T]] | None = None,
 ) -> dict[K, T]:
     """Run every job in `workers` threads (None: one per core); return what `finish` makes of each result, by key.
 
-    Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run.
-    `skip` is asked there before a run begins, and returns whether to leave it out and the value in its place. `done` and
-    `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed` turns the
+    Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run. `done`
+    and `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed` turns the
     failure of an FMU into a value; on that, and on Ctrl-C, jobs that have not begun are dropped and running
     ones stopped at their next look. Raises ValueError where two jobs have the same key.
     """
-    if len({job.key for job in jobs}) < len(jobs):
-        raise ValueError("two jobs of a study have the same key")
-    fmus = Path(fmus).absolute()  # FMPy changes the folder of the whole process while it loads a library
-    jobs = [anchored(job) for job in jobs]
-    stop = threading.Event()
+    place = Path(fmus).absolute()  # FMPy changes the folder of the whole process while it loads a library
 
-    def look(_done: int = 0, _total: int = 0) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
+    def run(job: Job[K], look: Look) -> T:
+        return _finished(lambda: run_scenario(job.whole, place, job.folder, look), finish, failed)
 
-    def run(job: Job[K]) -> T:
-        look()
-        if skip is not None:
-            left_out, value = skip(job)
-            if left_out:
-                return value
-        try:
-            return finish(run_scenario(job.whole, fmus, job.folder, look))
-        except SimulationError as error:
-            if failed is None:
-                raise
-            return failed(error)
+    return _run(jobs, lambda: run, workers, progress, done)
 
+
+def judge_all(
+    jobs: Sequence[Job[K]],
+    fmus: FilePath,
+    judge: Callable[[Result], T],
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[K, T]:
+    """Return what `judge` makes of each job's result, which has what the metrics need, see `Prepared`; as `run_all`."""
+    place = Path(fmus).absolute()
+    return _run(jobs, lambda: _Judging(place, judge), workers, progress)
+
+
+def _run(
+    jobs: Sequence[Job[K]],
+    made: Callable[[], Callable[[Job[K], Look], T]],
+    workers: int | None,
+    progress: Callable[[int, int], None] | None = None,
+    done: Callable[[Job[K], T], None] | None = None,
+) -> dict[K, T]:
+    _check_keys(jobs)
     results: dict[K, T] = {}
-    with second_ends(), ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        try:
-            futures: dict[Future[T], Job[K]] = {pool.submit(run, job): job for job in jobs}
-            for future in as_completed(futures):
-                job = futures[future]
-                results[job.key] = future.result()
-                if done is not None:
-                    done(job, results[job.key])
-                if progress is not None:
-                    progress(len(results), len(jobs))
-        except BaseException:
-            stop.set()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+
+    def ended(job: Job[K], value: T) -> None:
+        results[job.key] = value
+        if done is not None:
+            done(job, value)
+        if progress is not None:
+            progress(len(results), len(jobs))
+
+    execute(iter(anchored(jobs)), made, workers, ended)
     return {job.key: results[job.key] for job in jobs}
 
 
@@ -90,36 +93,124 @@ def run_numbers(
 ) -> dict[K, Numbers]:
     """Return each job's numbers, from the journal or by a run; `progress` counts both.
 
-    A run that an FMU ends with an error has no numbers: an empty mapping, kept too. Otherwise as `run_all`.
+    `evaluate` makes them of a result that has what the metrics need, see `Prepared`. A run that an FMU ends with an error
+    has no numbers: an empty mapping, kept too. Several processes may share the journal: each runs what no other has begun,
+    then what is left. Otherwise as `run_all`.
     """
-    digests = {job.key: journal.digest(job, fmus) for job in jobs}
-    known = {job.key: journal.found(digests[job.key]) for job in jobs}
-    kept = {key: values for key, values in known.items() if values is not None}
-    todo = [job for job in jobs if job.key not in kept]
+    _check_keys(jobs)
+    place, jobs = Path(fmus).absolute(), anchored(jobs)
+    digest = journal.digests(place)
+    digests = {job.key: digest(job) for job in jobs}
+    known = journal.found(digests.values())
+    results: dict[K, Numbers] = {job.key: known[digests[job.key]] for job in jobs if digests[job.key] in known}
+    keeper = _Keeper(journal)
 
     def report() -> None:
         if progress is not None:
-            progress(len(kept), len(jobs))
+            progress(len(results), len(jobs))
 
-    def done(job: Job[K], values: Numbers | None) -> None:
-        if values is not None:
-            if journal.found(digests[job.key]) is None:
-                journal.keep(digests[job.key], values)
-            kept[job.key] = dict(values)
-            report()
-
-    def first(job: Job[K]) -> tuple[bool, Numbers | None]:
-        """Skip what another process has done, and what it has begun."""
-        values = journal.found(digests[job.key])
-        return (True, values) if values is not None or not journal.claim(digests[job.key]) else (False, None)
-
-    def again(job: Job[K]) -> tuple[bool, Numbers | None]:
-        """Skip what another process has done meanwhile; whoever began the rest may be gone."""
-        values = journal.found(digests[job.key])
-        return values is not None, values
+    def ended(job: Job[K], values: Numbers) -> None:
+        results[job.key] = dict(values)
+        if digests[job.key] not in known:
+            keeper.keep(digests[job.key], values)
+        report()
 
     report()
-    for skip in (first, again):
-        todo = [job for job in todo if job.key not in kept]
-        run_all(todo, fmus, evaluate, workers, done=done, failed=lambda _error: {}, skip=skip)
-    return {job.key: kept[job.key] for job in jobs}
+    for claims in (True, False):  # what others have begun may never end
+        todo = [job for job in jobs if job.key not in results]
+        queue = _Lease(todo, digests, journal, claims=claims)
+        try:
+            execute(queue, lambda: _Judging(place, evaluate, lambda _: {}), workers, ended)
+        finally:
+            keeper.flush()
+        for job, values in queue.elsewhere:
+            results[job.key] = values
+            report()
+    return {job.key: results[job.key] for job in jobs}
+
+
+def _check_keys(jobs: Sequence[Job[K]]) -> None:
+    if len({job.key for job in jobs}) < len(jobs):
+        raise ValueError("two jobs of a study have the same key")
+
+
+def _finished(
+    run: Callable[[], Result], finish: Callable[[Result], T], failed: Callable[[SimulationError], T] | None
+) -> T:
+    try:
+        return finish(run())
+    except SimulationError as error:
+        if failed is None:
+            raise
+        return failed(error)
+
+
+class _Judging(Generic[T]):
+    """What a thread judges runs with: the scenarios that it has prepared."""
+
+    def __init__(
+        self, fmus: Path, judge: Callable[[Result], T], failed: Callable[[SimulationError], T] | None = None
+    ) -> None:
+        self.fmus, self.judge, self.failed = fmus, judge, failed
+        self.prepared: dict[tuple[int, str], Prepared] = {}
+
+    def __call__(self, job: Job[Any], look: Look) -> T:
+        key = id(job.scenario), str(job.folder)
+        ready = self.prepared.pop(key, None)
+        if ready is None:
+            if len(self.prepared) >= MOST_PREPARED:
+                self.prepared.pop(next(iter(self.prepared))).close()
+            ready = Prepared(job.scenario, self.fmus, job.folder)
+        self.prepared[key] = ready
+        return _finished(lambda: ready.run(job.changes, look), self.judge, self.failed)
+
+    def close(self) -> None:
+        for ready in self.prepared.values():
+            ready.close()
+        self.prepared.clear()
+
+
+class _Keeper:
+    """Keeps numbers in a journal, those of LEASE together."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal, self.kept, self.since = journal, [], time.monotonic()
+
+    def keep(self, digest: str, values: Numbers) -> None:
+        self.kept.append((digest, values))
+        if time.monotonic() - self.since > LEASE:
+            self.flush()
+
+    def flush(self) -> None:
+        if self.kept:
+            self.journal.keep(self.kept)
+        self.kept, self.since = [], time.monotonic()
+
+
+class _Lease(Iterator[Job[K]]):
+    """Jobs to run, reserved in a shared journal some at a time; `elsewhere`: what other processes have done meanwhile."""
+
+    def __init__(self, jobs: Sequence[Job[K]], digests: Mapping[K, str], journal: Journal, *, claims: bool) -> None:
+        self.left, self.digests, self.journal, self.claims = list(reversed(jobs)), digests, journal, claims
+        self.elsewhere: list[tuple[Job[K], Numbers]] = []
+        self.ready: list[Job[K]] = []
+        self.size, self.since = 1, time.monotonic()
+
+    def __next__(self) -> Job[K]:
+        while not self.ready:
+            if not self.left:
+                raise StopIteration
+            self._reserve()
+        return self.ready.pop()
+
+    def _reserve(self) -> None:
+        now = time.monotonic()
+        self.size = min(2 * self.size, 256) if now - self.since < LEASE else max(1, self.size // 2)
+        self.since = now
+        some = [self.left.pop() for _ in range(min(self.size, len(self.left)))]
+        digests = {self.digests[job.key]: job for job in some}
+        known = self.journal.found(digests)
+        self.elsewhere += [(digests[digest], values) for digest, values in known.items()]
+        rest = [digest for digest in digests if digest not in known]
+        ours = self.journal.claim(rest) if self.claims else set(rest)
+        self.ready = [digests[digest] for digest in reversed(rest) if digest in ours]

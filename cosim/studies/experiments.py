@@ -21,8 +21,8 @@ from ..scenario_run import run_scenario, with_tolerances
 from ..scenario_system import build_system, evaluation, plant_values
 from ..wiring import CONTROLLER
 from .comparison import Comparison, Draw
-from .draws import PENDULUM, Chance, chance_of, drawn
-from .engine import Job, run_all
+from .draws import PENDULUM, Chance, chance_of, draw_changes
+from .engine import Job, judge_all
 
 LAWS = ("LC", "SMC", "IHC")
 """What a comparison takes of a controller's laws unless it is told others, and their order: the paper's."""
@@ -52,8 +52,12 @@ class Experiment:
 
     def at(self, law: str, number: int | None) -> Scenario:
         """Return the scenario of a law, or another choice, and draw."""
-        scenario = self.scenario if number is None else drawn(self.scenario, number, self.chance)
-        return scenario.changed({self.entry: law if self.values is None else self.values[law]})
+        return self.scenario.changed(self.changes(law, number))
+
+    def changes(self, law: str, number: int | None) -> dict[str, Any]:
+        """Return what a law, or another choice, and a draw change in the scenario."""
+        drawn = {} if number is None else draw_changes(self.scenario, number, self.chance)
+        return {**drawn, self.entry: law if self.values is None else self.values[law]}
 
 
 def laws_of(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> list[str]:
@@ -120,12 +124,12 @@ def run_experiments(
         for experiment in experiments
     ]
     jobs = [
-        Job((s, law, number), experiment.at(law, number).changed({"record.every": 1}), experiment.folder)
+        Job((s, law, number), experiment.scenario, experiment.folder, experiment.changes(law, number))
         for s, experiment in enumerate(experiments)
         for number in experiment.numbers
         for law in laws
     ]
-    judged = run_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
+    judged = judge_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
     comparisons = []
     for s, experiment in enumerate(experiments):
         draws = tuple(Draw(law, n, *judged[s, law, n]) for law in laws for n in experiment.numbers)

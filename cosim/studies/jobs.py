@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -13,6 +13,8 @@ from .. import parameter_files
 from ..scenario import Scenario
 
 K = TypeVar("K", bound=Hashable)
+
+_PARAMETERS = "plant.parameters"
 
 
 @dataclass(frozen=True)
@@ -33,9 +35,24 @@ class Job(Generic[K]):
         return self.scenario.changed(self.changes) if self.changes else self.scenario
 
 
-def anchored(job: Job[K]) -> Job[K]:
-    """Return the job with absolute paths."""
-    parameters = parameter_files.file_of(job.scenario.plant.parameters, job.folder)
-    if parameters is not None:
-        job = replace(job, scenario=job.scenario.changed({"plant.parameters": str(parameters.absolute())}))
-    return replace(job, folder=None if job.folder is None else Path(job.folder).absolute())
+def anchored(jobs: Sequence[Job[K]]) -> list[Job[K]]:
+    """Return the jobs with absolute paths; those that share a scenario still do."""
+    scenarios: dict[tuple[int, str], Scenario] = {}
+
+    def absolute(name: str | None, folder: FilePath | None) -> str | None:
+        path = parameter_files.file_of(name, folder)
+        return name if path is None else str(path.absolute())
+
+    anchored_jobs = []
+    for job in jobs:
+        key = id(job.scenario), str(job.folder)
+        if key not in scenarios:
+            named = job.scenario.plant.parameters
+            path = absolute(named, job.folder)
+            scenarios[key] = job.scenario if path == named else job.scenario.changed({_PARAMETERS: path})
+        changes = job.changes
+        if _PARAMETERS in changes:
+            changes = {**changes, _PARAMETERS: absolute(changes[_PARAMETERS], job.folder)}
+        folder = None if job.folder is None else Path(job.folder).absolute()
+        anchored_jobs.append(Job(job.key, scenarios[key], folder, changes))
+    return anchored_jobs

@@ -8,7 +8,7 @@ import math
 import secrets
 import sqlite3
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -23,14 +23,18 @@ from fmu_export.reading import first_bytes, read_bytes
 
 from .. import parameter_files
 from ..errors import UserError
-from ..fmu_files import describe
+from ..prepared import start_value
 from ..results import versions
+from ..scenario import Scenario
 from ..scenario_files import files
 from .jobs import Job
 from .numbers import Numbers
 
 APPLICATION, VERSION = 0x51554245, 2
 """What tells a journal from another SQLite file: "QUBE", and the version of its format."""
+
+AT_ONCE = 500
+"""Digests in one question to the file."""
 
 SQLITE_HEAD = b"SQLite format 3\0"
 EARLIER_JOURNAL = b"qube-ihc journal"
@@ -87,43 +91,81 @@ class Journal:
             rows = file.execute("SELECT digest, numbers, checksum FROM runs ORDER BY rowid").fetchall()
         return {row[0]: self._numbers(*row) for row in rows}
 
-    def found(self, digest: str) -> dict[str, float] | None:
-        """Return the numbers kept under `digest`; raises UserError where they do not fit their checksum."""
+    def found(self, digests: Iterable[str]) -> dict[str, dict[str, float]]:
+        """Return the numbers that are kept under `digests`; raises UserError where one does not fit its checksum."""
         if self._file is None:
-            return None
+            return {}
+        wanted = list(digests)
+        rows = []
         with self._opened() as file:
-            row = file.execute("SELECT digest, numbers, checksum FROM runs WHERE digest = ?", (digest,)).fetchone()
-        return None if row is None else self._numbers(*row)
+            for first in range(0, len(wanted), AT_ONCE):
+                some = wanted[first : first + AT_ONCE]
+                marks = ",".join("?" * len(some))
+                rows += file.execute(f"SELECT digest, numbers, checksum FROM runs WHERE digest IN ({marks})", some)
+        return {row[0]: self._numbers(*row) for row in rows}
 
-    def claim(self, digest: str) -> bool:
-        """Say that this process now runs `digest`; return False where another process has said so before.
+    def claim(self, digests: Sequence[str]) -> set[str]:
+        """Say that this process now runs `digests`; return those of which another process has not said so before.
 
         The other may have been killed since, so that a claim only means: this run can wait until all others are done.
         """
         with self._opened() as file:
-            file.execute("INSERT OR IGNORE INTO claims VALUES (?, ?)", (digest, self._owner))
-            (owner,) = file.execute("SELECT owner FROM claims WHERE digest = ?", (digest,)).fetchone()
-        return owner == self._owner
+            file.executemany("INSERT OR IGNORE INTO claims VALUES (?, ?)", [(d, self._owner) for d in digests])
+            owners = [file.execute("SELECT owner FROM claims WHERE digest = ?", (d,)).fetchone()[0] for d in digests]
+        return {digest for digest, owner in zip(digests, owners, strict=True) if owner == self._owner}
 
-    def keep(self, digest: str, numbers: Numbers) -> None:
-        """Keep the numbers of a finished run."""
-        text = json.dumps({name: None if math.isnan(value) else value for name, value in numbers.items()})
+    def keep(self, runs: Iterable[tuple[str, Numbers]]) -> None:
+        """Keep the numbers of finished runs, by their digests."""
+        rows = []
+        for digest, numbers in runs:
+            text = json.dumps({name: None if math.isnan(value) else value for name, value in numbers.items()})
+            rows.append((digest, text, _checksum(digest, text)))
         with self._opened() as file:
-            file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)", (digest, text, _checksum(digest, text)))
-            file.execute("DELETE FROM claims WHERE digest = ?", (digest,))
+            file.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?)", rows)
+            file.executemany("DELETE FROM claims WHERE digest = ?", [row[:1] for row in rows])
 
-    def digest(self, job: Job[Any], fmus: FilePath) -> str:
-        """Return what the job's numbers are kept under: a hash of purpose, code, versions, scenario, FMUs and files."""
-        digest = hashlib.sha256(f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}".encode())
-        digest.update(job.whole.model_dump_json().encode())
-        used = files(job.whole, fmus, job.folder)
-        for fmu in used.fmus.values():
-            digest.update(str(describe(fmu).guid).encode())
-        parameters = parameter_files.file_of(job.whole.plant.parameters, job.folder)
-        others = [("design", used.design), ("parameter", parameters), *(("signal", t) for t in used.tables.values())]
-        for what, file in others:
-            digest.update(b"" if file is None else hashlib.sha256(read_bytes(file, what)).digest())
-        return digest.hexdigest()[:32]
+    def digests(self, fmus: FilePath) -> Callable[[Job[Any]], str]:
+        """Return what returns, of a job, what its numbers are kept under.
+
+        It is a hash of purpose, code, versions, scenario, changes, and of the contents of FMUs and files; what jobs share
+        is read once.
+        """
+        common = f"{self.purpose} {code_digest()} {dict(versions())} {_scipy()}"
+        scenarios: dict[tuple[int, str, str], tuple[Scenario, str]] = {}
+        contents: dict[Path, bytes] = {}
+
+        def content(what: str, file: Path | None) -> bytes:
+            if file is None:
+                return b""
+            if file not in contents:
+                contents[file] = hashlib.sha256(read_bytes(file, what)).digest()
+            return contents[file]
+
+        def of_scenario(job: Job[Any], changes: Mapping[str, Any]) -> str:
+            scenario = job.scenario.changed(changes) if changes else job.scenario
+            digest = hashlib.sha256(f"{common} {scenario.model_dump_json()}".encode())
+            used = files(scenario, fmus, job.folder)
+            for fmu in used.fmus.values():
+                digest.update(content("FMU", fmu))
+            parameters = parameter_files.file_of(scenario.plant.parameters, job.folder)
+            for what, file in (
+                ("design", used.design),
+                ("parameter", parameters),
+                *(("signal", table) for table in used.tables.values()),
+            ):
+                digest.update(content(what, file))
+            return digest.hexdigest()
+
+        def of_job(job: Job[Any]) -> str:
+            start = {entry: value for entry, value in job.changes.items() if start_value(entry)[1]}
+            others = {entry: value for entry, value in job.changes.items() if entry not in start}
+            key = id(job.scenario), str(job.folder), json.dumps(others, sort_keys=True, default=str)
+            if key not in scenarios:
+                scenarios[key] = job.scenario, of_scenario(job, others)  # the scenario is kept, and so is its id
+            text = json.dumps(start, sort_keys=True)
+            return hashlib.sha256(f"{scenarios[key][1]} {text}".encode()).hexdigest()[:32]
+
+        return of_job
 
     @contextmanager
     def _opened(self) -> Iterator[sqlite3.Connection]:

@@ -19,7 +19,7 @@ class Range:
 
     @property
     def width(self) -> float:
-        """high - low."""
+        """High - low."""
         return self.high - self.low
 
     def at(self, share: float) -> float:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from ..pendulum import is_controller
 from ..scenario import Scenario
 from ..scenario_system import controller_values, evaluation, plant_values
 from .comparison import UNSTEADY
-from .draws import Chance, chance_of, drawn
+from .draws import Chance, chance_of, draw_changes
 from .engine import Job, run_numbers
 from .estimates import MeanEstimate, change, mean, rms_change, root_mean_square
 from .experiments import check_outputs, laws_of
@@ -198,12 +198,16 @@ class TuningProblem:
 
     def at(self, point: Point, design: Design | None) -> Scenario:
         """Return the scenario with the IHC of a point."""
+        return self.scenario.changed(self.changes(point, design))
+
+    def changes(self, point: Point, design: Design | None) -> dict[str, Any]:
+        """Return what the IHC of a point changes in the scenario."""
         own = {} if design is None else _design_start(design)
         values = {"law": "IHC", **own, "a_min": point.a_min, "b_max": point.b_max}
-        changes: dict[str, object] = {f"controller.start.{name}": value for name, value in values.items()}
+        changes: dict[str, Any] = {f"controller.start.{name}": value for name, value in values.items()}
         if design is not None:
             changes["controller.design"] = None
-        return self.scenario.changed({**changes, "record.every": 1})
+        return changes
 
     def check_tunable(self) -> None:
         """Raise UserError for a controller without a law IHC or its bounds."""
@@ -239,7 +243,7 @@ def tune(
     """
     say = progress or (lambda _what, _done, _total: None)
     problem.check_tunable()
-    families = problem.families(grid)
+    families, chance = problem.families(grid), problem.chance
     designs = problem.designs(grid)
     outcomes: dict[Point, Outcome] = {}
     runs: dict[Point, list[Numbers]] = {}
@@ -248,10 +252,10 @@ def tune(
 
     def run(what: str, points: Iterable[Point]) -> None:
         jobs = [
-            Job((point, draw), drawn(scenario, draw, problem.chance), problem.folder)
+            Job((point, draw), problem.scenario, problem.folder, changes | draw_changes(problem.scenario, draw, chance))
             for point in points
             if point not in outcomes
-            for scenario in [problem.at(point, designs[point.mu, point.u_max])]
+            for changes in [problem.changes(point, designs[point.mu, point.u_max])]
             for draw in problem.numbers
         ]
         by_key = run_numbers(

@@ -10,7 +10,8 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.integration import MOST_STEPS, TOLERANCE
-from cosim.master import SimulationError, simulate
+from cosim.master import simulate
+from cosim.results import SimulationError
 from cosim.scenario import load_scenario
 from cosim.scenario_system import build_system
 from cosim.ssp import write

@@ -15,7 +15,9 @@ from cosim import master
 from cosim.errors import UserError
 from cosim.fmu import Instance
 from cosim.fmu_files import describe
-from cosim.master import PROGRESS_EVERY, Interrupted, SimulationError, simulate
+from cosim.master import simulate
+from cosim.results import Interrupted, SimulationError
+from cosim.rig import PROGRESS_EVERY
 from cosim.scenario import load_scenario
 from cosim.scenario_system import build_system
 from cosim.structure import Component, Signal, SystemStructure, Wire

@@ -13,8 +13,10 @@ import pytest
 from cosim import native_loop
 from cosim.build import LOOP, loop_files
 from cosim.errors import UserError
-from cosim.master import ORDERS, Interrupted, SimulationError, simulate
+from cosim.master import simulate
 from cosim.native_loop import SECONDS_PER_CALL, SIGNAL_STEPS
+from cosim.results import Interrupted, SimulationError
+from cosim.rig import ORDERS
 from cosim.structure import Signal, SystemStructure, Wire
 from fmu_export.native_build import PLATFORMS, BuildError, build_library
 

@@ -186,7 +186,7 @@ def test_a_file_counts_in_the_journal_with_its_content_not_with_its_place(file, 
     scenario = Scenario().changed({"plant.parameters": "mine.toml"})
 
     def digest(folder):
-        return Journal(tmp_path / "journal", "test").digest(Job(0, scenario, tmp_path / folder), fmus)
+        return Journal(tmp_path / "journal", "test").digests(fmus)(Job(0, scenario, tmp_path / folder))
 
     for folder, values in (("a", {}), ("b", {}), ("c", {"D_r": "0.5"})):
         (tmp_path / folder).mkdir()

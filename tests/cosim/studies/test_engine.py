@@ -20,6 +20,7 @@ from cosim.errors import UserError
 from cosim.fmu_files import UnpackedFmu
 from cosim.metrics import evaluate
 from cosim.pendulum_export import Kind, export_units
+from cosim.prepared import Prepared
 from cosim.results import Result, SimulationError
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
@@ -57,7 +58,13 @@ def begun(monkeypatch):
         seeds.append(scenario.run.seed)
         return run_scenario(scenario, *rest)
 
+    def run_prepared(prepared, changes, *rest):
+        seeds.append(changes.get("run.seed", prepared.scenario.run.seed))
+        return prepared_run(prepared, changes, *rest)
+
+    prepared_run = Prepared.run
     monkeypatch.setattr(engine, "run_scenario", run)
+    monkeypatch.setattr(Prepared, "run", run_prepared)
     return seeds
 
 
@@ -315,8 +322,8 @@ def test_numbers_come_back_to_the_last_bit(tmp_path_factory, kept):
     path.unlink(missing_ok=True)
     with Journal(path, "test") as journal:
         for digest, numbers in kept.items():
-            journal.keep(digest, numbers)
-            assert bits(journal.found(digest) or {}) == bits(numbers)
+            journal.keep([(digest, numbers)])
+            assert bits(journal.found([digest])[digest]) == bits(numbers)
     with Journal(path, "test") as journal:
         assert {digest: bits(numbers) for digest, numbers in journal.known.items()} == {
             digest: bits(numbers) for digest, numbers in kept.items()
@@ -326,7 +333,7 @@ def test_numbers_come_back_to_the_last_bit(tmp_path_factory, kept):
 def test_a_number_kept_again_replaces_the_first(tmp_path):
     for value in (1.0, 2.0):
         with Journal(tmp_path / "journal", "test") as journal:
-            journal.keep("a", {"x": value})
+            journal.keep([("a", {"x": value})])
     with Journal(tmp_path / "journal", "test") as journal:
         assert journal.known == {"a": {"x": 2.0}}
 
@@ -335,22 +342,22 @@ def test_a_journal_begins_with_its_first_numbers_in_a_new_folder_or_an_empty_fil
     (tmp_path / "empty").touch()
     for path in (tmp_path / "new folder" / "deep" / "journal", tmp_path / "empty"):
         with Journal(path, "test") as journal:
-            assert (journal.known, journal.found("a")) == ({}, None)
+            assert (journal.known, journal.found(["a"])) == ({}, {})
             assert not path.parent.exists() or path == tmp_path / "empty"
-            journal.keep("a", {})
+            journal.keep([("a", {})])
         assert [file.name for file in path.parent.glob("*") if file.is_file()] == [path.name]
 
 
 def test_what_is_kept_is_seen_by_others_at_once_and_outlives_a_killed_process(tmp_path):
     path = tmp_path / "journal"
     script = (
-        "import os, pathlib, signal, sys; from cosim.studies.engine import Journal;"
-        "Journal(pathlib.Path(sys.argv[1]), 'test').keep('a', {'x': 1.5}); os.kill(os.getpid(), 9)"
+        "import os, pathlib, signal, sys; from cosim.studies.journal import Journal;"
+        "Journal(pathlib.Path(sys.argv[1]), 'test').keep([('a', {'x': 1.5})]); os.kill(os.getpid(), 9)"
     )
     with Journal(path, "test") as journal:
-        journal.keep("b", {})
+        journal.keep([("b", {})])
         subprocess.run([sys.executable, "-c", script, str(path)], check=False)
-        assert journal.found("a") == {"x": 1.5}
+        assert journal.found(["a"]) == {"a": {"x": 1.5}}
     with Journal(path, "test") as journal:
         assert journal.known == {"b": {}, "a": {"x": 1.5}}
 
@@ -390,12 +397,12 @@ def test_another_file_is_refused_and_left_as_it_is(tmp_path, make, cause):
 def test_a_changed_digit_is_refused(tmp_path):
     path = tmp_path / "journal"
     with Journal(path, "test") as journal:
-        journal.keep("a", {"x": 1.25})
+        journal.keep([("a", {"x": 1.25})])
     content = path.read_bytes()
     assert content.count(b"1.25") == 1
     path.write_bytes(content.replace(b"1.25", b"1.75"))
     with Journal(path, "test") as journal, pytest.raises(UserError, match="numbers do not fit their checksum"):
-        journal.found("a")
+        journal.found(["a"])
 
 
 # What numbers are kept under
@@ -407,7 +414,7 @@ def digest(tmp_path, fmus):
 
     def of(one, folder=fmus, purpose="test"):
         with Journal(tmp_path / "digests.jsonl", purpose) as journal:
-            return journal.digest(one, folder)
+            return journal.digests(folder)(one)
 
     return of
 
@@ -499,10 +506,10 @@ def test_a_design_that_does_not_exist_is_named_as_by_a_run(digest, job, tmp_path
 
 
 class Evaluations(list):
-    """The metrics as numbers; remembers the seeds of what it evaluated."""
+    """The metrics as numbers; remembers the results' first angles."""
 
     def __call__(self, result):
-        self.append(result.metadata["scenario"]["run"]["seed"])
+        self.append(float(result["plant.delta"][0]))
         return measured(result)
 
 
@@ -512,7 +519,8 @@ def test_a_second_call_runs_nothing_and_gives_the_same_numbers(fmus, job, tmp_pa
     for _ in range(2):
         with Journal(tmp_path / "journal", "test") as journal:
             found.append(run_numbers(jobs, fmus, journal, evaluations, 2, lambda *c: seen.append(c)))
-    assert sorted(begun) == sorted(evaluations) == [0, 1, 2, 3]
+    assert sorted(begun) == [0, 1, 2, 3]
+    assert len(evaluations) == 4
     assert seen == [(k, 4) for k in range(5)] + [(4, 4)]
     assert list(found[0]) == list(found[1]) == [one.key for one in jobs]
     for one in jobs:
@@ -521,13 +529,13 @@ def test_a_second_call_runs_nothing_and_gives_the_same_numbers(fmus, job, tmp_pa
         assert math.isnan(alone["settling_time"])
 
 
-def test_only_what_is_new_is_run(fmus, job, tmp_path):
-    evaluations, seen = Evaluations(), []
+def test_only_what_is_new_is_run(fmus, job, tmp_path, begun):
+    seen = []
     with Journal(tmp_path / "journal", "test") as journal:
-        run_numbers([job(seed, run__seed=seed) for seed in (1, 2)], fmus, journal, evaluations, 1)
+        run_numbers([job(seed, run__seed=seed) for seed in (1, 2)], fmus, journal, measured, 1)
         jobs = [job(seed, run__seed=seed) for seed in (3, 2, 1, 4)]
-        found = run_numbers(jobs, fmus, journal, evaluations, 1, lambda *counts: seen.append(counts))
-    assert evaluations == [1, 2, 3, 4]
+        found = run_numbers(jobs, fmus, journal, measured, 1, lambda *counts: seen.append(counts))
+    assert begun == [1, 2, 3, 4]
     assert list(found) == [3, 2, 1, 4]
     assert seen == [(2, 4), (3, 4), (4, 4)]
 
@@ -555,14 +563,16 @@ def test_processes_share_the_work_of_one_journal(fmus, job, tmp_path, begun):
     """The second leaves what the first has begun to the end, and then takes what the first has done meanwhile."""
     jobs = [job(seed, run__seed=seed) for seed in range(4)]
     with Journal(tmp_path / "journal", "test") as first, Journal(tmp_path / "journal", "test") as second:
-        keys = [first.digest(one, fmus) for one in jobs]
-        assert (first.claim(keys[0]), second.claim(keys[0]), first.claim(keys[1])) == (True, False, True)
+        keys = list(map(first.digests(fmus), jobs))
+        assert first.claim(keys[:1]) == set(keys[:1])
+        assert second.claim(keys[:1]) == set()
+        assert first.claim(keys[:2]) == set(keys[:2])
         seen = []
 
         def progress(done, total):
             seen.append(done)
             if done == 2:  # the first has ended one of its runs, and is killed in the other
-                first.keep(keys[0], {"kept": 1.0})
+                first.keep([(keys[0], {"kept": 1.0})])
 
         found = run_numbers(jobs, fmus, second, measured, 1, progress)
     assert begun == [2, 3, 1]

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
-from cosim.master import SimulationError
 from cosim.metric_meanings import QUANTITIES
 from cosim.metrics import Metrics, evaluate
-from cosim.results import Result
+from cosim.results import Result, SimulationError
 from cosim.scenario import Scenario, load_scenario
 from cosim.scenario_run import run_scenario
 from cosim.studies.comparison import Comparison, Draw
