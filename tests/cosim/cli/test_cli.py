@@ -29,7 +29,19 @@ from tests.cosim.browser import Page, check_alone
 from tests.cosim.command import ended, files, finished, sentence, started
 
 OPTIONS = {
-    "design": ["--system", "--method", "--mu", "--alpha", "--u-max", "--delta-max", "--beta", "--psi", "--d-max", "-o"],
+    "design": [
+        "--system",
+        "--method",
+        "--mu",
+        "--alpha",
+        "--u-max",
+        "--delta-max",
+        "--beta",
+        "--psi",
+        "--d-max",
+        "--residual",
+        "-o",
+    ],
     "export": ["--design", "--parameters", "--nominal", "--smc", "--output", "-o", "--set"],
     "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot", "--report", "--report-file"],
     "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set", "--report", "--report-file"],
@@ -88,7 +100,10 @@ def test_a_process_of_its_own_is_the_same_program(tmp_path):
 
 
 def test_direct_design_tells_its_control(tmp_path):
-    said = accepted("design", "--method", "direct", "--alpha", "1", "--u-max", "10", cwd=tmp_path)
+    said = accepted("design", "--method", "direct", "--alpha", "1", "--u-max", "10", "--residual", "0.8", cwd=tmp_path)
+    assert re.search(
+        r"what counting leaves with a_min = 0.8\s.*theta_dot \[rad/s\].*the bound is proven: ", said, re.DOTALL
+    )
     design = Design.load(tmp_path / "design.json")
     most = float(np.sqrt((design.K @ np.linalg.solve(design.P, design.K.T)).item()))
     assert f"on the unit ball |voltage| <= {most:.4g} V; any alpha has a solution" in " ".join(said.split())
@@ -244,6 +259,7 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
         (("export", "--set", "a_min=1"), "--set must name plant.VARIABLE or controller.VARIABLE, found 'a_min'"),
         (("export", "--set", "plant.delta_0=inf"), "delta_0 must be finite, found inf"),
         (("design", "--system", "nowhere.toml"), "system file nowhere.toml does not exist"),
+        (("design", "--residual", "0"), "a_min must lie in [1e-06, 1e+12], found 0"),
         (("design", "--mu", "nan"), "mu must lie in (0, 1], found nan"),
         (("design", "--alpha", "-1"), "alpha must be positive and finite [1/s], found -1.0"),
     ],
