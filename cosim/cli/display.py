@@ -257,9 +257,9 @@ def print_residual(design: Design, a_min: float, found: Residual) -> None:
     for i, q in enumerate(design.system.inputs):
         table.add_row(escaped(str(q)), f"{found.input_rms[i]:.3g}", "", f"{found.input_bound[i]:.3g}")
     console.print(table)
-    ball = f"in the ball of a_min, where the law is linear, the estimate reaches {found.norm_bound:.3g} of the radius at most"
+    ball = f"in the ball of a_min, where the law is linear, the estimate reaches {found.norm_bound:.3g} of the radius"
     limits = ", and an input may be limited" if found.limited else ""
-    console.print(f"the bound is {'proven' if found.proven else 'not proven of the law'}: {ball}{limits}")
+    console.print(f"the bound is {'proven' if found.proven else 'not proven of the law'}: {ball} at most{limits}")
 
 
 def print_tuning(tuning: Tuning) -> None:
