@@ -93,8 +93,7 @@ def draw(runs: Mapping[Key, float], path: Path) -> None:
     right.set_xticklabels(["0.5", "1", "2"])
     for axis in (left, right):
         axis.grid(alpha=0.3)
-    handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right center", fontsize=8)
+    figure.legend(*left.get_legend_handles_labels(), loc="outside right center", fontsize=8)
     figure.savefig(path, dpi=120, metadata={"Software": None})
 
 
