@@ -108,6 +108,7 @@ class Instance:
     _alive: bool = False
     _running: bool = False
     _callbacks: Any = None
+    _arguments: tuple[Any, ...] = ()
     _setting: tuple[tuple[str, ...], list[Port]] = ((), [])
     _library: ClassVar[type[Strict]] = FMU2Strict
 
@@ -285,20 +286,37 @@ class Instance:
             self._fmu = None
 
     def _instantiate(self) -> None:
+        if self._fmu is None:
+            self._load()
+        fmu: Any = self._fmu
+        with LOADING:
+            component = fmu.fmi2Instantiate(*self._arguments)
+        if not component:
+            raise FmuError(f"{self.name} ({self.path}): Failed to instantiate model{self.cause()}")
+        fmu.component, self._alive = component, True
+
+    def _load(self) -> None:
         with LOADING:
             where = Path.cwd()
             try:
-                if self._fmu is None:
-                    self._fmu = self._unpacked.library(self._library, self.model_identifier, self.name)
-                    keep_globals(self._unpacked.folder)
-                if self._callbacks is None:
-                    self._callbacks = self._made_callbacks()
-                self._fmu.instantiate(callbacks=self._callbacks, loggingOn=True)
+                self._fmu = self._unpacked.library(self._library, self.model_identifier, self.name)
+                keep_globals(self._unpacked.folder)
             except Exception as error:
                 raise FmuError(f"{self.name} ({self.path}): {error}{self.cause()}") from None
             finally:
                 os.chdir(where)  # FMPy leaves its own folder where loading fails
-        self._alive = True
+        if self._callbacks is None:
+            self._callbacks = self._made_callbacks()
+        model = issubclass(self._library, fmpy.fmi2.FMU2Model)
+        self._arguments = (
+            self.name.encode(),
+            fmpy.fmi2.fmi2ModelExchange if model else fmpy.fmi2.fmi2CoSimulation,
+            self._fmu.guid.encode(),
+            Path(self._unpacked.folder, "resources").as_uri().encode(),
+            ctypes.byref(self._callbacks),
+            fmpy.fmi2.fmi2False,
+            fmpy.fmi2.fmi2True,
+        )
 
     def _made_callbacks(self) -> Any:
         _instances[id(self)] = self

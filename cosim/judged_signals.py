@@ -139,7 +139,8 @@ def check_angles(result: Recording, evaluation: Evaluation) -> None:
 def takeovers(mode: Array, stabilizing: int = STABILIZING) -> Array:
     """Return the rows at which the stabilizing law takes over, from the controller's output `mode` and its value then."""
     acts = mode == stabilizing
-    return np.flatnonzero(acts & ~np.concatenate([[False], acts[:-1]]))
+    rows = np.flatnonzero(acts[1:] & ~acts[:-1]) + 1
+    return np.concatenate([[0], rows]) if len(acts) and acts[0] else rows
 
 
 def kept_upright(result: Recording) -> bool:

@@ -110,10 +110,13 @@ def trend(time: Array, e: Array, window: float = WINDOW, zero: float = ZERO * TO
     is shorter than the window, has less than two rows for each part, or a |e| that is not finite or has no finite
     square.
     """
-    late = e[time >= time[-1] - window]
+    late = e[first_of_window(time, window) :]
     if time[-1] - time[0] < window * (1.0 - 1e-9) or len(late) < 2 * PARTS or not np.all(np.isfinite(late)):
         return math.nan
-    parts = np.array([np.mean(part**2) for part in np.array_split(late, PARTS)]) + np.float64(zero) ** 2
+    size, larger = divmod(len(late), PARTS)  # the first ones have a row more, as of np.array_split
+    squares, end = late**2, larger * (size + 1)
+    blocks = squares[:end].reshape(larger, size + 1), squares[end:].reshape(PARTS - larger, size)
+    parts = np.concatenate([np.mean(block, axis=1) for block in blocks]) + np.float64(zero) ** 2
     if not np.isfinite(np.sum(parts)):
         return math.nan
     ratio = math.sqrt(float(np.sum(parts[: PARTS // 2]) / np.sum(parts[PARTS // 2 :])))
@@ -124,6 +127,11 @@ def trend(time: Array, e: Array, window: float = WINDOW, zero: float = ZERO * TO
     scatter = float(np.sum((y - np.mean(y) - slope * x) ** 2)) / (PARTS - 2)
     significant = slope * slope * float(x @ x) > TREND_T**2 * scatter and (slope < 0.0) == (ratio > 1.0)
     return ratio if significant or max(ratio, 1.0 / ratio) >= SURE else 1.0
+
+
+def first_of_window(time: Array, window: float) -> int:
+    """Return the first row of the last `window` [s]."""
+    return int(np.argmax(time >= time[-1] - window))
 
 
 def unsteady(metrics: Metrics) -> str:
@@ -262,7 +270,7 @@ class _Judge:
         self.time, self.steady = result.time, steady
         self.own = dict(zip(evaluation.error_groups.values(), map(float, evaluation.settled), strict=True))  # type: ignore[arg-type]
         self.settled = self.own if tolerance is None else dict.fromkeys(self.own, tolerance)
-        self.late = self.time >= self.time[-1] - steady
+        self.late = slice(first_of_window(self.time, steady), None)
         self.norms = {group: error_norm(result, evaluation, group) for group in evaluation.error_groups.values()}
         self.controls = [np.asarray(result[control.signal]) for control in evaluation.controls]
         self.every_row = has_every_row(result)

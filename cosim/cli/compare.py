@@ -15,18 +15,22 @@ from ..errors import UserError
 from .display import console, escaped, print_comparison, print_results, progress, remove_earlier, say_notes
 from .options import (
     SCENARIO_HELP,
+    ClusterOption,
     FmusOption,
     Page,
     ReportFileOption,
     ReportOption,
     SetOption,
+    WorkersOption,
     assignments,
     page_wanted,
     varied,
+    workers_at,
 )
 
 if TYPE_CHECKING:
     from ..studies.comparison import Comparison
+    from ..studies.engine import Workers
 
 REPORT = "report.html"
 """The page among a comparison's files."""
@@ -56,7 +60,8 @@ def compare(
             "A plant without encoders is run once.",
         ),
     ] = 128,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder for results; the scenario's name is added.")
     ] = Path("results"),
@@ -108,7 +113,8 @@ def compare(
         uncovered = (note for _, said in designs for note in said)
         one = entry not in ("controller.design", "controller.fmu")
         page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=designs[0][0] if one else None)
-    run_and_write([Experiment(loaded_scenario, folder, draws, entry, values)], fmus, output, names, workers, page)
+    with workers_at(workers, cluster) as where:
+        run_and_write([Experiment(loaded_scenario, folder, draws, entry, values)], fmus, output, names, where, page)
 
 
 def check_folder(folder: Path, laws: Sequence[str] = ()) -> None:
@@ -150,7 +156,7 @@ def run_and_write(
     fmus: Path,
     output: Path,
     laws: list[str],
-    workers: int | None = None,
+    workers: Workers = None,
     page: Page | None = None,
 ) -> None:
     """Compare the laws in each experiment; print what comes out, write it to folders named after the scenarios.

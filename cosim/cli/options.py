@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,8 @@ from ..errors import UserError
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
+
+    from ..studies.engine import Workers
 
 
 FAILED = 1
@@ -44,6 +47,14 @@ ReportOption = Annotated[
 ReportFileOption = Annotated[
     Path | None,
     typer.Option("--report-file", help="The page's file (*.html), which is then written; none: see --report."),
+]
+
+WorkersOption = Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")]
+ClusterOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS", help="Run on the workers of a Dask cluster, e.g. `tcp://10.0.0.5:8786`, not in threads here."
+    ),
 ]
 
 RunArgument = Annotated[Path, typer.Argument(help="Result of `hil` (CSV, with its JSON beside it).")]
@@ -82,6 +93,25 @@ def page_wanted(report: bool, file: Path | None, usual: Path | None) -> Page | N
     if path is not None:
         check_replaceable(check_name(path))
     return Page(path)
+
+
+@contextmanager
+def workers_at(workers: int | None, cluster: str | None) -> Iterator[Workers]:
+    """Give where runs are to be made, as --workers and --cluster say it; raise UserError where both do."""
+    if cluster is None:
+        yield workers
+        return
+    if workers is not None:
+        raise UserError(
+            f"--workers counts threads of this process, and --cluster runs elsewhere: give one, found {workers}"
+        )
+    from ..studies.cluster import Cluster
+
+    connected = Cluster(cluster)
+    try:
+        yield connected
+    finally:
+        connected.close()
 
 
 def assignments(items: list[str] | None) -> list[tuple[str, Any]]:

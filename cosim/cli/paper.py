@@ -12,6 +12,7 @@ from filing.ownership import check_replaceable
 
 from ..pendulum_export import export_units
 from .display import console, escaped, print_claims, staged_progress
+from .options import ClusterOption, WorkersOption, workers_at
 
 
 def paper(
@@ -21,7 +22,8 @@ def paper(
     draws: Annotated[
         int | None, typer.Option(min=1, help="Random draws for each controller and condition; none: 200, quick 10.")
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for everything.")] = Path("results/paper"),
     fmus: Annotated[
         Path | None, typer.Option(help="Folder with exported FMUs; none: exports them to `fmus` in the output folder.")
@@ -43,7 +45,7 @@ def paper(
     if fmus is None:
         fmus = output / "fmus"
         export_units(default_design(), output=fmus)
-    with staged_progress() as progress:
-        claims = make(Study(output, fmus, size, workers), progress)
+    with workers_at(workers, cluster) as where, staged_progress() as progress:
+        claims = make(Study(output, fmus, size, where), progress)
     print_claims(claims)
     console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")

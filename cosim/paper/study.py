@@ -29,7 +29,7 @@ from ..judged_signals import angle_norm, kept_upright, wrapped
 from ..metrics import evaluate, settling_time
 from ..results import Result
 from ..scenario import BUILT_IN, Scenario, load_scenario
-from ..studies.engine import Job, run_all, run_numbers
+from ..studies.engine import Job, Workers, run_all, run_numbers
 from ..studies.journal import Journal
 from . import printed
 from .gains import TILT
@@ -175,7 +175,7 @@ class Study:
     folder: Path
     fmus: Path
     size: Size
-    workers: int | None = None
+    workers: Workers = None
 
     @property
     def scenarios(self) -> Path:

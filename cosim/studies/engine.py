@@ -9,18 +9,19 @@ from typing import Any, Generic, TypeVar
 
 from fmu_export.files import FilePath
 
-from ..prepared import Prepared
 from ..results import Result, SimulationError
 from ..scenario_run import run_scenario
+from .cluster import Cluster
 from .jobs import Job, K, anchored
 from .journal import Journal
+from .judging import Judging, finished
 from .numbers import Numbers, numbers
 from .threads import Look, execute
 
 T = TypeVar("T")
 
-MOST_PREPARED = 8
-"""Scenarios that a thread keeps prepared."""
+Workers = int | Cluster | None
+"""Where jobs are run: in so many threads of this process, None: one per core; or on a cluster."""
 
 LEASE = 0.2
 """How long the runs last that a process reserves at a time in a shared journal [s], and that it keeps together."""
@@ -30,7 +31,7 @@ def run_all(
     jobs: Sequence[Job[K]],
     fmus: FilePath,
     finish: Callable[[Result], T],
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[int, int], None] | None = None,
     done: Callable[[Job[K], T], None] | None = None,
     failed: Callable[[SimulationError], T] | None = None,
@@ -38,37 +39,70 @@ def run_all(
     """Run every job in `workers` threads (None: one per core); return what `finish` makes of each result, by key.
 
     Native FMUs step without Python's lock, so that threads use all cores; `finish` runs in the thread of its run. `done`
-    and `progress(done, total)` are called in this thread after each job. Raises what a run raises, unless `failed` turns the
-    failure of an FMU into a value; on that, and on Ctrl-C, jobs that have not begun are dropped and running
-    ones stopped at their next look. Raises ValueError where two jobs have the same key.
+    and `progress(done, total)` are called in this thread after each job. Whole results are large: a cluster is not asked
+    for them. Raises what a run raises, unless `failed` turns the failure of an FMU into a value; on that, and on Ctrl-C,
+    jobs that have not begun are dropped and running ones stopped at their next look. Raises ValueError where two jobs have
+    the same key.
     """
     place = Path(fmus).absolute()  # FMPy changes the folder of the whole process while it loads a library
 
     def run(job: Job[K], look: Look) -> T:
-        return _finished(lambda: run_scenario(job.whole, place, job.folder, look), finish, failed)
+        return finished(lambda: run_scenario(job.whole, place, job.folder, look), finish, failed)
 
-    return _run(jobs, lambda: run, workers, progress, done)
+    results, ended = _collected(jobs, progress, done)
+    threads = None if isinstance(workers, Cluster) else workers
+    execute(iter(anchored(jobs)), lambda: run, threads, ended)
+    return {job.key: results[job.key] for job in jobs}
 
 
 def judge_all(
     jobs: Sequence[Job[K]],
     fmus: FilePath,
     judge: Callable[[Result], T],
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[K, T]:
     """Return what `judge` makes of each job's result, which has what the metrics need, see `Prepared`; as `run_all`."""
-    place = Path(fmus).absolute()
-    return _run(jobs, lambda: _Judging(place, judge), workers, progress)
+    results, ended = _collected(jobs, progress)
+    _judge(iter(anchored(jobs)), Path(fmus).absolute(), judge, None, workers, ended)
+    return {job.key: results[job.key] for job in jobs}
 
 
-def _run(
+def _judge(
+    jobs: Iterator[Job[K]],
+    fmus: Path,
+    judge: Callable[[Result], T],
+    failed: Callable[[SimulationError], T] | None,
+    workers: Workers,
+    ended: Callable[[Job[K], T], None],
+) -> None:
+    """Run and judge jobs in threads, or on a cluster."""
+    if isinstance(workers, Cluster):
+        workers.execute(jobs, fmus, judge, failed, ended)
+    else:
+        execute(jobs, lambda: _InThread(fmus, judge, failed), workers, ended)
+
+
+class _InThread(Generic[T]):
+    """What a thread runs its jobs with."""
+
+    def __init__(self, fmus: Path, judge: Callable[[Result], T], failed: Callable[[SimulationError], T] | None) -> None:
+        self.fmus, self.judge, self.failed = fmus, judge, failed
+        self.judging = Judging()
+
+    def __call__(self, job: Job[Any], look: Look) -> T:
+        return self.judging(job, self.fmus, self.judge, self.failed, look)
+
+    def close(self) -> None:
+        self.judging.close()
+
+
+def _collected(
     jobs: Sequence[Job[K]],
-    made: Callable[[], Callable[[Job[K], Look], T]],
-    workers: int | None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] | None,
     done: Callable[[Job[K], T], None] | None = None,
-) -> dict[K, T]:
+) -> tuple[dict[K, T], Callable[[Job[K], T], None]]:
+    """Return the values by key and what puts a job's value there; raise ValueError where two jobs have the same key."""
     _check_keys(jobs)
     results: dict[K, T] = {}
 
@@ -79,8 +113,12 @@ def _run(
         if progress is not None:
             progress(len(results), len(jobs))
 
-    execute(iter(anchored(jobs)), made, workers, ended)
-    return {job.key: results[job.key] for job in jobs}
+    return results, ended
+
+
+def no_numbers(_error: SimulationError) -> Numbers:
+    """Return what is kept of a run that an FMU ends with an error."""
+    return {}
 
 
 def run_numbers(
@@ -88,7 +126,7 @@ def run_numbers(
     fmus: FilePath,
     journal: Journal,
     evaluate: Callable[[Result], Numbers] = numbers,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[K, Numbers]:
     """Return each job's numbers, from the journal or by a run; `progress` counts both.
@@ -120,7 +158,7 @@ def run_numbers(
         todo = [job for job in jobs if job.key not in results]
         queue = _Lease(todo, digests, journal, claims=claims)
         try:
-            execute(queue, lambda: _Judging(place, evaluate, lambda _: {}), workers, ended)
+            _judge(queue, place, evaluate, no_numbers, workers, ended)
         finally:
             keeper.flush()
         for job, values in queue.elsewhere:
@@ -132,42 +170,6 @@ def run_numbers(
 def _check_keys(jobs: Sequence[Job[K]]) -> None:
     if len({job.key for job in jobs}) < len(jobs):
         raise ValueError("two jobs of a study have the same key")
-
-
-def _finished(
-    run: Callable[[], Result], finish: Callable[[Result], T], failed: Callable[[SimulationError], T] | None
-) -> T:
-    try:
-        return finish(run())
-    except SimulationError as error:
-        if failed is None:
-            raise
-        return failed(error)
-
-
-class _Judging(Generic[T]):
-    """What a thread judges runs with: the scenarios that it has prepared."""
-
-    def __init__(
-        self, fmus: Path, judge: Callable[[Result], T], failed: Callable[[SimulationError], T] | None = None
-    ) -> None:
-        self.fmus, self.judge, self.failed = fmus, judge, failed
-        self.prepared: dict[tuple[int, str], Prepared] = {}
-
-    def __call__(self, job: Job[Any], look: Look) -> T:
-        key = id(job.scenario), str(job.folder)
-        ready = self.prepared.pop(key, None)
-        if ready is None:
-            if len(self.prepared) >= MOST_PREPARED:
-                self.prepared.pop(next(iter(self.prepared))).close()
-            ready = Prepared(job.scenario, self.fmus, job.folder)
-        self.prepared[key] = ready
-        return _finished(lambda: ready.run(job.changes, look), self.judge, self.failed)
-
-    def close(self) -> None:
-        for ready in self.prepared.values():
-            ready.close()
-        self.prepared.clear()
 
 
 class _Keeper:

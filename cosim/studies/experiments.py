@@ -13,8 +13,9 @@ from ..coupling import Coupling
 from ..fmu import Instance
 from ..judged_signals import kept_upright, missing_signals
 from ..metric_meanings import measure_of
-from ..metrics import evaluate
+from ..metrics import Metrics, evaluate
 from ..names import is_plain
+from ..results import Result
 from ..scenario import Scenario
 from ..scenario_files import files
 from ..scenario_run import run_scenario, with_tolerances
@@ -22,7 +23,7 @@ from ..scenario_system import build_system, evaluation, plant_values
 from ..wiring import CONTROLLER
 from .comparison import Comparison, Draw
 from .draws import PENDULUM, Chance, chance_of, draw_changes
-from .engine import Job, judge_all
+from .engine import Job, Workers, judge_all
 
 LAWS = ("LC", "SMC", "IHC")
 """What a comparison takes of a controller's laws unless it is told others, and their order: the paper's."""
@@ -98,14 +99,18 @@ def check_outputs(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -
         )
 
 
+def _judged(result: Result) -> tuple[bool, Metrics]:
+    return kept_upright(result), evaluate(result)
+
+
 def run_experiments(
     experiments: Sequence[Experiment],
     fmus: FilePath,
     laws: Sequence[str] = LAWS,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Comparison]:
-    """Run every law in every experiment with every draw, in `workers` threads (None: one per core).
+    """Run every law in every experiment with every draw, in `workers` threads (None: one per core) or on a cluster.
 
     All laws of an experiment see the same encoder offsets and noise; a plant that has neither is run once. `laws` are the
     names of the choices of each experiment. `progress(done, total)` counts runs. Raises what a run
@@ -129,7 +134,7 @@ def run_experiments(
         for number in experiment.numbers
         for law in laws
     ]
-    judged = judge_all(jobs, fmus, lambda result: (kept_upright(result), evaluate(result)), workers, progress)
+    judged = judge_all(jobs, fmus, _judged, workers, progress)
     comparisons = []
     for s, experiment in enumerate(experiments):
         draws = tuple(Draw(law, n, *judged[s, law, n]) for law in laws for n in experiment.numbers)

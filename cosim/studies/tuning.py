@@ -30,7 +30,7 @@ from ..scenario import Scenario
 from ..scenario_system import controller_values, evaluation, plant_values
 from .comparison import UNSTEADY
 from .draws import Chance, chance_of, draw_changes
-from .engine import Job, run_numbers
+from .engine import Job, Workers, run_numbers
 from .estimates import MeanEstimate, change, mean, rms_change, root_mean_square
 from .experiments import check_outputs, laws_of
 from .journal import Journal
@@ -234,7 +234,7 @@ def tune(
     problem: TuningProblem,
     grid: Grid,
     journal: Journal,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Tuning:
     """Tune by the paper's rule for each mu and u_max of `grid`; finished runs come from and go to `journal`.
