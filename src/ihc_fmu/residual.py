@@ -284,7 +284,7 @@ def _spectrum(power: Array, outputs: Array, q: Array, variances: Array) -> Array
     errors[0] = q**2 / 12.0
     apart = np.ones((N, 1))  # noise is new in each sample
     apart[0] = 0.0
-    last = 0.0
+    spectrum, last = np.zeros((N // 2 + 1, len(q))), 0.0
     for _ in range(ROUNDS):
         spectrum = np.maximum(np.fft.rfft(errors, axis=0).real, 0.0) + variances
         motion = np.fft.irfft(np.einsum("wij,wj->wi", gains, spectrum), n=N, axis=0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import pi, sqrt
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def residual_set(
     `sample_time`, `voltage_limit`, ... as in a scenario. Raises UserError for others than these laws and estimators, and as
     `residual_of`.
     """
-    values = INTERFACE.start_values(controller_start_values(design, changes=changes))
+    values: dict[str, Any] = INTERFACE.start_values(controller_start_values(design, changes=changes))
     law, source = LAWS[values["law"] - 1], VELOCITY_SOURCES[values["velocity_source"] - 1]
     if law not in ("LC", "IHC"):
         raise UserError(f"the residual set is that of a law that is linear near the origin, LC or IHC, found {law}")
@@ -60,7 +61,7 @@ def angle_rms(found: Residual) -> float:
     return sqrt(float((found.rms[:2] ** 2).sum()))
 
 
-def _kalman(values: Mapping[str, Value], K: Array, h: float) -> SampledController:
+def _kalman(values: Mapping[str, Any], K: Array, h: float) -> SampledController:
     """Return the law on the Kalman filter's estimates, of whose biases only the pendulum's is estimated."""
     A, b = linearize(nominal_model(values))
     F, G = held(A, b[:, None], h)
@@ -70,7 +71,7 @@ def _kalman(values: Mapping[str, Value], K: Array, h: float) -> SampledControlle
     return filtered(f, K, compensated=bool(values["compensate_disturbance"]))
 
 
-def _velocities(values: Mapping[str, Value], source: str, K: Array, h: float) -> SampledController:
+def _velocities(values: Mapping[str, Any], source: str, K: Array, h: float) -> SampledController:
     """Return the law on measured angles and the velocity filter, v = w (y - lag), lag <- decay lag + (1 - decay) y."""
     if source != "filter":
         raise UserError(f"the residual set is that of counted angles: velocity_source kalman or filter, found {source}")
