@@ -7,10 +7,8 @@ pendulum's.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Container, Mapping, Sequence
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StrictBool, StrictInt, StrictStr, field_validator, model_validator
 
@@ -23,9 +21,6 @@ from .structure import Signal, Wire
 from .typed import Finite, Positive, checked
 from .unit_definitions import NO_UNIT, unit_in, unit_of
 from .wiring import CONTROLLER, SET_POINT, Variables
-
-if TYPE_CHECKING:
-    from .recording import Recording
 
 TOLERANCE = 0.02
 """|e| within which a run of the pendulum counts as settled [rad]."""
@@ -229,19 +224,6 @@ def pendulum_evaluation(known: Container[str], arm: str | float = 0.0) -> Evalua
         mode=ModeSignal(signal="controller.mode", items=_MODES),
         norm="controller.homogeneous_norm",
     )
-
-
-def evaluation_in(result: Recording) -> Evaluation:
-    """Return what a result is judged by: what its metadata keep, the pendulum's where they keep nothing."""
-    if result.judged_by is not None:
-        return result.judged_by
-    kept = result.metadata.get("evaluation")
-    return pendulum_evaluation(result.signals) if kept is None else _kept(json.dumps(kept, sort_keys=True))
-
-
-@lru_cache(maxsize=64)
-def _kept(text: str) -> Evaluation:
-    return checked(Evaluation, json.loads(text), "the result's metadata: evaluation")
 
 
 def evaluation_of(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,8 +14,9 @@ from ihc_fmu.arrays import QUIET
 from ihc_fmu.pendulum.supervisor import Mode
 
 from .errors import UserError
-from .evaluation import ACTING, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
+from .evaluation import ACTING, ErrorSignal, Evaluation, pendulum_evaluation
 from .recording import Recording
+from .typed import checked
 
 Array = np.ndarray
 
@@ -37,6 +40,19 @@ def missing_signals(known: Iterable[str], evaluation: Evaluation | None = None) 
     there = dict.fromkeys(known)
     needed = (evaluation or pendulum_evaluation(there)).signals
     return [name for name in needed if name not in there]
+
+
+def evaluation_in(result: Recording) -> Evaluation:
+    """Return what a result is judged by: what its metadata keep, the pendulum's where they keep nothing."""
+    if result.judged_by is not None:
+        return result.judged_by
+    kept = result.metadata.get("evaluation")
+    return pendulum_evaluation(result.signals) if kept is None else _kept(json.dumps(kept, sort_keys=True))
+
+
+@lru_cache(maxsize=64)
+def _kept(text: str) -> Evaluation:
+    return checked(Evaluation, json.loads(text), "the result's metadata: evaluation")
 
 
 def can_evaluate(result: Recording) -> bool:

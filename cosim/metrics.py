@@ -15,8 +15,8 @@ from ihc_fmu.arguments import check_kind
 from ihc_fmu.arrays import QUIET
 
 from .errors import UserError
-from .evaluation import ACTING, SHARE, TOLERANCE, Evaluation, evaluation_in
-from .judged_signals import check_angles, error_norm, missing_signals, takeovers
+from .evaluation import ACTING, SHARE, TOLERANCE, Evaluation
+from .judged_signals import check_angles, error_norm, evaluation_in, missing_signals, takeovers
 from .metric_meanings import WINDOW, ZERO, MetricMeaning, measure_of, quantities_of
 from .recording import Recording
 

@@ -13,10 +13,10 @@ from fmu_export.files import FilePath
 
 from .coupling import Coupling
 from .errors import UserError
-from .evaluation import Evaluation, evaluation_in, pendulum_evaluation
+from .evaluation import Evaluation, pendulum_evaluation
 from .fmu_files import describe
 from .inputs import read_columns
-from .judged_signals import missing_signals, wrapped
+from .judged_signals import evaluation_in, missing_signals, wrapped
 from .provenance import provenance
 from .results import Result
 from .scenario import Scenario

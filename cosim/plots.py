@@ -19,8 +19,8 @@ from filing.origin import SOFTWARE
 from fmu_export.files import FilePath
 from ihc_fmu.pendulum.interface import LAWS
 
-from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, evaluation_in, pendulum_evaluation
-from .judged_signals import error_norm, given, set_point, wrapped
+from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, pendulum_evaluation
+from .judged_signals import error_norm, evaluation_in, given, set_point, wrapped
 from .recording import Recording
 
 

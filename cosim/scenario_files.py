@@ -9,6 +9,7 @@ from pathlib import Path
 
 from fmu_export.files import FilePath, is_file
 
+from . import parameter_files
 from .errors import UserError
 from .fmu_files import check_exists
 from .inputs import CsvSignal
@@ -59,3 +60,17 @@ def beside_or_here(file: str, folder: FilePath | None) -> Path:
     """Return the path of a file that a scenario names: beside it if it is there, else in the current folder."""
     beside = Path(folder or "") / file
     return beside if is_file(beside) else Path(file)
+
+
+def portable(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> tuple[Scenario, dict[str, Path]]:
+    """Return a scenario for another folder, and by their names there the files that it then needs beside it.
+
+    They are the FMUs that are not in the folder `fmus`, tables of signals, the controller's design, the parameter file.
+    """
+    used, parameters = files(scenario, fmus, folder), parameter_files.file_of(scenario.plant.parameters, folder)
+    there = Path(fmus).absolute()
+    beside = {path.name: path for path in used.fmus.values() if path.parent.absolute() != there} | used.tables
+    named = {"controller.design": used.design, "plant.parameters": parameters}
+    moved = {entry: path for entry, path in named.items() if path is not None}
+    beside |= {path.name: path for path in moved.values()}
+    return scenario.changed({entry: path.name for entry, path in moved.items()}), beside

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, TypeVar
 
@@ -34,6 +35,19 @@ def checked(model: type[T], data: Any, source: object) -> T:
         raise UserError(f"{source}: {_first_problem(model, data, error)}") from None
     except RecursionError:  # an object inside itself
         raise UserError(f"{source} is nested too deeply") from None
+
+
+def value_of(text: str, what: str) -> Any:
+    """Return what a text of the command line says: read as TOML where it is, as plain text otherwise.
+
+    Raises UserError that begins with `what` for what Python does not read.
+    """
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    except (ValueError, RecursionError):  # a number of more digits, or lists of more levels, than Python takes
+        raise UserError(f"{what} must be a number, a name or a short list, found {shown(text)}") from None
 
 
 def _first_problem(model: type[BaseModel], data: Any, error: ValidationError) -> str:

@@ -18,6 +18,7 @@ from .demo import demo
 from .design import design
 from .device import device
 from .display import console, degrade_output, say_error, say_fault
+from .explore import explore
 from .export import export
 from .hil import hil
 from .identify import identify
@@ -29,6 +30,7 @@ from .paper import paper
 from .replay import replay
 from .run import run
 from .ssp import ssp
+from .sweep import sweep
 from .tune import tune
 
 USAGE, FAULT = 2, 70
@@ -41,9 +43,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
     help="From a linear controller to an implicit homogeneous one: **linearize** a plant, **design** with a proof, "
-    "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **tune** the controller; "
-    "**new** begins with a plant of your own. Built in is the QUBE-Servo 2: **demo** does all of it, **paper** repeats the "
-    "paper's experiments, **hil** runs the controller on the device.",
+    "**export** plant and controller as FMUs, **run** scenarios with them, **compare** the laws, **sweep** what is "
+    "uncertain, **tune** the controller; **new** begins with a plant of your own. Built in is the QUBE-Servo 2: **demo** "
+    "does all of it, **paper** repeats the paper's experiments, **hil** runs the controller on the device.",
 )
 
 OUTPUT_LOST = (errno.ENOSPC, errno.EIO)
@@ -57,7 +59,9 @@ for _command in (
     ssp,
     run,
     compare,
+    sweep,
     tune,
+    explore,
     paper,
     demo,
     hil,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from filing.ownership import check_replaceable
-from fmu_export.errors import shown
 
 from ..errors import UserError
+from ..typed import value_of
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
@@ -115,13 +114,13 @@ def workers_at(workers: int | None, cluster: str | None) -> Iterator[Workers]:
 
 
 def assignments(items: list[str] | None) -> list[tuple[str, Any]]:
-    """Return (name, value) of each NAME=VALUE; values read as TOML where they are, as plain text otherwise."""
+    """Return (name, value) of each NAME=VALUE; values as `value_of` reads them."""
     pairs = []
     for item in items or []:
         name, equals, text = item.partition("=")
         if not equals or not name:
             raise UserError(f"--set takes NAME=VALUE, found {item!r}")
-        pairs.append((name, _value(name, text)))
+        pairs.append((name, value_of(text, f"--set {name}")))
     return pairs
 
 
@@ -133,13 +132,4 @@ def varied(text: str) -> tuple[str, dict[str, Any]]:
     texts = [value.strip() for value in values.split(",")]
     if len(set(texts)) < len(texts) or not all(texts):
         raise UserError(f"--vary takes different values, found {text!r}")
-    return name.strip(), {value: _value(name, value) for value in texts}
-
-
-def _value(name: str, text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
-    except (ValueError, RecursionError):  # a number of more digits, or lists of more levels, than Python takes
-        raise UserError(f"--set {name} must be a number, a name or a short list, found {shown(text)}") from None
+    return name.strip(), {value: value_of(value, f"--vary {name}") for value in texts}

@@ -49,7 +49,7 @@ def overlay(
     A log of the pendulum is simulated from the state in which it begins, which is found in it. Anything else is simulated as
     its scenario says, from time 0; a table has a column `time` [s] and columns named as signals, `component.variable`.
     """
-    from ..evaluation import evaluation_in
+    from ..judged_signals import evaluation_in
     from ..overlay import other_files, scenario_in
     from ..plots import COMPARISON
     from ..results import Result

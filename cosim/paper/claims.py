@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..studies.estimates import Share
 from ..studies.numbers import counted
 from . import printed
 from .gains import GainReading, NormReading
 from .study import COMPARED, GAINS, REFERENCE, Key
-from .verdicts import RELATIVE, Basis, Claim, Runs, Share, by_cell, margin, share_of_wins, tolerance
+from .verdicts import RELATIVE, Basis, Claim, Runs, by_cell, margin, share_of_wins, tolerance
 
 FITTED_GAINS = {"IHC": (0,), "SMC1": (0, 60, 200)}
 """Gains G at which a controller's margin over the LC was fitted; the LC's LMSE at G = 0 was too, and SMC1's energy there."""

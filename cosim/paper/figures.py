@@ -13,11 +13,12 @@ from ..judged_signals import angle_norm
 from ..metric_meanings import QUANTITIES
 from ..plots import COLOURS, DELTA, OTHERS, THETA, Q, angle, save_figure
 from ..results import Result
+from ..studies.estimates import Share
 from ..studies.numbers import counted
 from . import printed
 from .study import COMPARED, GAINS, Study
 from .variants import sweep_name
-from .verdicts import Runs, Share, margin
+from .verdicts import Runs, margin, verdict_of
 
 PALETTE = COLOURS
 ORDER = ("SMC1", "SMC2", "LC", "IHC")
@@ -119,7 +120,7 @@ def _shares(shares: Sequence[tuple[str, Share]]) -> Figure:
     axis = figure.subplots()
     for row, (_, share) in enumerate(shares):
         low, high = share.interval
-        colour = {"holds": "#1b7837", "does not hold": "#b2182b", "undecided": "#777777"}[share.verdict]
+        colour = {"holds": "#1b7837", "does not hold": "#b2182b", "undecided": "#777777"}[verdict_of(share)]
         axis.plot([100 * low, 100 * high], [-row, -row], color=colour, lw=2)
         axis.plot(100 * share.value, -row, "o", color=colour, ms=4)
     axis.axvline(50.0, color="0.4", lw=0.8)

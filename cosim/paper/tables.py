@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..metric_meanings import QUANTITIES
+from ..studies.estimates import Share
 from . import printed
 from .claims import VARIANTS_OF_LAW, Judge, Theory
 from .figures import sweep_median, sweep_runs, swing_up_pairs
@@ -15,7 +16,7 @@ from .gains import poles_text
 from .readings import Reading
 from .study import COMPARED, GAINS, REFERENCE, Key, Study
 from .table import Cell, Column, Table
-from .verdicts import Claim, Runs, Share, by_cell, margin, share_of_wins
+from .verdicts import Claim, Runs, by_cell, margin, share_of_wins, verdict_of
 
 
 def _metric(name: str) -> Column:
@@ -189,7 +190,7 @@ def shares_table(runs: Runs) -> Table:
                         100 * share.value,
                         100 * low,
                         100 * high,
-                        share.verdict if share.draws else "no draw",
+                        verdict_of(share) if share.draws else "no draw",
                         *upright,
                     ]
                 )

@@ -7,8 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from scipy.stats import binomtest
-
+from ..studies.estimates import Share
 from ..studies.numbers import Numbers, counted
 from .study import Key
 
@@ -22,8 +21,6 @@ Basis = Literal["independent", "fitted", "repeats"]
 that other claims judge already, as another reading of the same statement or their arithmetical consequence.
 """
 
-CONFIDENCE = 0.95
-
 RELATIVE = 0.5
 """A printed margin counts as reproduced within half of itself, but at least within one percentage point."""
 
@@ -31,37 +28,10 @@ LEAST_MARGIN = 1.0
 """[%]"""
 
 
-@dataclass(frozen=True)
-class Share:
-    """In how many of `draws` pairs the first controller was the better one; `low`, `high`: Wilson's interval."""
-
-    wins: int
-    draws: int
-
-    @property
-    def value(self) -> float:
-        """The share; NaN without draws."""
-        return self.wins / self.draws if self.draws else math.nan
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The 95 % confidence interval of the share (Wilson's score interval); (0, 1) without draws."""
-        if not self.draws:
-            return 0.0, 1.0
-        interval = binomtest(self.wins, self.draws).proportion_ci(CONFIDENCE, method="wilson")
-        return float(interval.low), float(interval.high)
-
-    @property
-    def verdict(self) -> Verdict:
-        """Whether more than half of all draws would show the ranking, as far as the interval decides it."""
-        low, high = self.interval
-        return "holds" if low > 0.5 else "does not hold" if high < 0.5 else "undecided"
-
-    def __str__(self) -> str:
-        if not self.draws:
-            return "no draw decides"
-        low, high = self.interval
-        return f"{self.wins} of {self.draws} ({100 * low:.0f} to {100 * high:.0f} %)"
+def verdict_of(share: Share) -> Verdict:
+    """Return whether more than half of all draws would show the ranking, as far as the interval decides it."""
+    verdicts: dict[int, Verdict] = {1: "holds", 0: "undecided", -1: "does not hold"}
+    return verdicts[share.decided]
 
 
 @dataclass(frozen=True)
@@ -91,7 +61,7 @@ class Claim:
             return "holds" if self.low <= self.ours <= self.high else "does not hold"
         if self.share is None:
             raise ValueError(f"the claim {self.text!r} needs a tolerance or draws")
-        return self.share.verdict
+        return verdict_of(self.share)
 
     @property
     def rule(self) -> str:

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..evaluation import NO_UNIT, ErrorSignal, evaluation_in
-from ..judged_signals import error_norm, given, set_point, wrapped
+from ..evaluation import NO_UNIT, ErrorSignal
+from ..judged_signals import error_norm, evaluation_in, given, set_point, wrapped
 from ..plots import (
     COLOURS,
     LARGEST,
@@ -182,9 +182,12 @@ class Plots:
             found |= {names.get(m, str(m)): shades.get(m, UNKNOWN) for m, begin, end in mode_spans(run) if end > begin}
         return list(found.items())
 
-    def data(self, files: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
-        """Return what the script draws, and how each run was thinned, in words; `files` are the names of downloads."""
-        rows = max(LEAST_ROWS, MOST_VALUES // max(1, sum(map(len, self.columns.values()))))
+    def data(self, files: Mapping[str, str], most: int | None = None) -> tuple[dict[str, Any], list[str]]:
+        """Return what the script draws, and how each run was thinned, in words; `files` are the names of downloads.
+
+        `most` rows of each run are drawn; None: as many as a page can have.
+        """
+        rows = most or max(LEAST_ROWS, MOST_VALUES // max(1, sum(map(len, self.columns.values()))))
         tables: list[dict[str, Any]] = []
         thin: dict[tuple[int, int], list[str]] = {}
         for name, run in self.runs.items():

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..animation import ZERO, BodySection
-from ..evaluation import evaluation_in
-from ..judged_signals import can_evaluate
+from ..judged_signals import can_evaluate, evaluation_in
 from ..recording import Recording
 
 FRAME = 0.02

@@ -15,8 +15,7 @@ from fmu_export.files import FilePath
 
 from ..animation import Bodies, check_signals
 from ..errors import UserError
-from ..evaluation import evaluation_in
-from ..judged_signals import can_draw, can_evaluate, kept_upright, overflow
+from ..judged_signals import can_draw, can_evaluate, evaluation_in, kept_upright, overflow
 from ..metrics import evaluate, evaluate_alike, unsteady
 from ..plots import law_of
 from ..provenance import provenance

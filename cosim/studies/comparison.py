@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import hashlib
-import io
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,10 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from filing.files import staging, write_file
-from fmu_export.errors import UserError
+from filing.files import write_file
 from fmu_export.files import FilePath
-from fmu_export.reading import read_json
 from ihc_fmu.arguments import check_among
 
 from ..judged_signals import overflow
@@ -27,6 +21,7 @@ from ..metrics import Metrics
 from ..results import Result
 from ..scenario import Scenario
 from ..tables import mark
+from .described import csv_row, pair, save_described
 from .draws import PENDULUM, Chance, drawn
 from .estimates import MeanEstimate, change, change_text, estimate_text, mean, rms_change, root_mean_square
 
@@ -452,29 +447,25 @@ class Comparison:
         UserError
             Where they cannot be written.
         """
-        folder = Path(folder)
-        earlier = _files_of(folder / CONTENTS)
-        with staging(folder, last=CONTENTS) as place:
+
+        def write(place: Path) -> None:
             self._save(place)
             if pictures is not None:
                 pictures(place)
-            contents = {**self.summary(), "files": _digests(place)}
-            write_file(place / CONTENTS, json.dumps(contents, indent=1) + "\n")
-        for name in earlier.keys() - contents["files"].keys():
-            if _sha256(folder / name) == earlier[name]:
-                (folder / name).unlink()
+
+        save_described(folder, CONTENTS, self.summary(), write)
 
     def _save(self, folder: Path) -> None:
         for law, result in self.results.items():
             result.save(folder / f"{law}.csv")
         offsets, names = self.chance.offsets, list(self.quantities)
-        lines = [_row("law", "draw", *offsets, "kept", *names)]
+        lines = [csv_row("law", "draw", *offsets, "kept", *names)]
         for d in self.draws:
             start = self.scenario.plant.start
             if d.number is not None:
                 start = drawn(self.scenario, d.number, self.chance).plant.start
             cells = ["" if d.number is None else d.number, *(start.get(name, "") for name in offsets)]
-            lines.append(_row(d.law, *cells, int(d.kept), *(repr(d.metrics.values[n]) for n in names)))
+            lines.append(csv_row(d.law, *cells, int(d.kept), *(repr(d.metrics.values[n]) for n in names)))
         write_file(folder / "comparison.csv", "\n".join(lines) + "\n")
 
     def summary(self) -> dict[str, Any]:
@@ -488,7 +479,7 @@ class Comparison:
         base, *others = self._of_law
         laws: dict[str, Any] = {}
         for law in self._of_law:
-            laws[law] = {name: _pair(self.value(law, name)) for name in self.shown}
+            laws[law] = {name: pair(self.value(law, name)) for name in self.shown}
             laws[law] |= {"kept": self.kept(law), "steady": self.steady(law)}
             laws[law]["never_settled"] = self.unsettled(law)
         return {
@@ -496,34 +487,6 @@ class Comparison:
             "scenario": self.scenario.model_dump(mode="json"),
             "draws": self.count,
             "laws": laws,
-            "change": {law: {name: _pair(self.change(law, base, name)) for name in self.shown} for law in others},
+            "change": {law: {name: pair(self.change(law, base, name)) for name in self.shown} for law in others},
             "remarks": self.remarks(),
         }
-
-
-def _row(*cells: object) -> str:
-    """Return a line of a table; names of FMUs may have commas, quotes and line breaks in them."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="").writerow(cells)
-    return text.getvalue()
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    return {path.name: _sha256(path) for path in sorted(folder.iterdir())}
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
-
-
-def _files_of(path: Path) -> dict[str, str]:
-    """Return the digests by plain names that an earlier comparison.json holds; none where there is no such thing."""
-    try:
-        files = read_json(path, "comparison")["files"]
-        return {str(name): str(digest) for name, digest in files.items() if Path(name).name == name}
-    except (UserError, LookupError, TypeError, AttributeError):  # not there, or another's: nothing of it is ours
-        return {}
-
-
-def _pair(estimate: MeanEstimate) -> list[float | None]:
-    return [None if math.isnan(v) else v for v in (estimate.value, estimate.half_width)]

@@ -31,6 +31,41 @@ class MeanEstimate:
         return int(math.copysign(1, self.value)) if abs(self.value) > self.half_width else 0
 
 
+@dataclass(frozen=True)
+class Share:
+    """In how many of `draws` pairs the one law was the better one; `low`, `high`: Wilson's interval."""
+
+    wins: int
+    draws: int
+
+    @property
+    def value(self) -> float:
+        """The share; NaN without draws."""
+        return self.wins / self.draws if self.draws else math.nan
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The 95 % confidence interval of the share (Wilson's score interval); (0, 1) without draws."""
+        if not self.draws:
+            return 0.0, 1.0
+        from scipy.stats import binomtest  # noqa: PLC0415 - heavy
+
+        interval = binomtest(self.wins, self.draws).proportion_ci(CONFIDENCE, method="wilson")
+        return float(interval.low), float(interval.high)
+
+    @property
+    def decided(self) -> int:
+        """The sign of the share less one half where the interval excludes one half, otherwise 0."""
+        low, high = self.interval
+        return int(low > 0.5) - int(high < 0.5)
+
+    def __str__(self) -> str:
+        if not self.draws:
+            return "no draw decides"
+        low, high = self.interval
+        return f"{self.wins} of {self.draws} ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
 @QUIET
 def mean(values: Array) -> MeanEstimate:
     """Return the mean of `values`; NaN without any."""

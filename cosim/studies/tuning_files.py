@@ -13,7 +13,7 @@ from filing.files import staging, write_file
 from fmu_export.files import FilePath
 
 from ..plots import OTHERS, literal, save_figure
-from ..scenario_files import files
+from ..scenario_files import portable
 from .tuning import Family, Point, Tuning, TuningProblem
 
 WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
@@ -23,7 +23,7 @@ WRITTEN_FILES = ("tuning.csv", "landscape.png", "best.toml", "best.json")
 def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]:
     """Write tuning.csv, landscape.png and the best point as best.toml (scenario) and best.json (design); return them.
 
-    FMUs and tables that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
+    The files that lie beside the tuned scenario are copied beside the new one. Without a design of its own the
     point is a scenario only.
     """
     best = tuning.best.point
@@ -33,9 +33,9 @@ def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]
         own["controller.design"] = "best.json"
     point: dict[str, object] = {"law": "IHC", "a_min": best.a_min, "b_max": best.b_max}
     start = {f"controller.start.{name}": value for name, value in point.items()}
-    scenario = problem.scenario.changed({**own, **start}).to_toml()
-    used = files(problem.scenario, problem.fmus, problem.folder)
-    fmus = [path for path in used.fmus.values() if path.parent.absolute() != Path(problem.fmus).absolute()]
+    tuned = problem.scenario if design is None else problem.scenario.changed({"controller.design": None})
+    moved, beside = portable(tuned, problem.fmus, problem.folder)
+    scenario = moved.changed({**own, **start}).to_toml()
     drawn = f"means of {len(problem.numbers)} draws" if problem.chance else "one run each"
     title = (
         f"{problem.scenario.name}: {tuning.quantities[tuning.measure].symbol} and chattering, {drawn}\n"
@@ -44,8 +44,8 @@ def save(tuning: Tuning, problem: TuningProblem, folder: FilePath) -> list[Path]
     folder = Path(folder)
     with staging(folder) as place:
         write_file(place / "tuning.csv", _table(tuning))
-        for path in dict.fromkeys([*fmus, *used.tables.values()]):
-            write_file(place / path.name, path.read_bytes())
+        for name, path in beside.items():
+            write_file(place / name, path.read_bytes())
         write_file(place / "best.toml", scenario)
         if design is not None:
             design.save(place / "best.json")

@@ -21,6 +21,7 @@ _INSTANCES = ("controller.", "plant.", "hil.")
 _HEADINGS = (
     "law,seed,",
     "law,draw,",
+    "draw,law,",
     "mu,u_max,a_min,b_max,",
     "time,voltage,what",
     "experiment,parameters,step,gain,variant,draw,",
@@ -92,9 +93,17 @@ def _says(text: str) -> Callable[[Path], bool]:
     return says
 
 
+def _is_parquet(path: Path) -> bool:
+    """Return whether the file's metadata, which stand at its end before their length, name this project."""
+    content = path.read_bytes()
+    length = int.from_bytes(content[-8:-4], "little")
+    return content[-4:] == b"PAR1" and SOFTWARE.encode() in content[-8 - length : -8]
+
+
 _KINDS: dict[str, Callable[[Path], bool]] = {
     ".json": _is_json,
     ".csv": _is_table,
+    ".parquet": _is_parquet,
     ".png": _says(f"Software\0{SOFTWARE}"),
     ".fmu": _is_archive,
     ".ssp": _is_archive,

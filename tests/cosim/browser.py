@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import contextlib
+import json
 import re
 import shutil
 import subprocess
+import time
+import urllib.request
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -96,3 +103,106 @@ def played(folder: Path, text: str, script: str, *options: str, width: int = 128
     shown = Page(browse(folder, folder / "frame.html", "--dump-dom", "--window-size=1400,900", *options))
     (root,) = (attributes for tag, attributes in shown.tags if tag == "html")
     return {name.removeprefix("data-"): value for name, value in root.items() if name.startswith("data-")}
+
+
+class Tab:
+    """A page in a browser without a window, in real time: told by the DevTools protocol what to do."""
+
+    def __init__(self, folder: Path, address: str, width: int = 1200, height: int = 900, *options: str) -> None:
+        if BROWSER is None:
+            pytest.skip("no browser")
+        from websockets.sync.client import connect
+
+        profile = folder / "profile of a tab"
+        options = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", *options)
+        sizes = (f"--window-size={width},{height}", "--remote-debugging-port=0", f"--user-data-dir={profile}")
+        self.process = subprocess.Popen(
+            [BROWSER, *options, *sizes, "about:blank"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        self.open = contextlib.ExitStack()
+        self.said: list[str] = []
+        self.asked: list[str] = []
+        self.count = 0
+        try:
+            port = self._until(lambda: (profile / "DevToolsActivePort").read_text().split()[0], OSError, IndexError)
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list", timeout=10) as listed:
+                target = next(one for one in json.load(listed) if one["type"] == "page")
+            self.socket = self.open.enter_context(connect(target["webSocketDebuggerUrl"], max_size=None))
+            for domain in ("Page", "Runtime", "Network", "Log"):
+                self.do(f"{domain}.enable")
+            self.do("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+            self.do("Page.navigate", url=address)
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Tab:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the browser with all its processes."""
+        with contextlib.suppress(Exception):
+            self.do("Browser.close")
+            self.process.wait(timeout=10)
+            self.open.close()
+        self.process.kill()
+        self.process.wait(timeout=30)
+
+    def do(self, method: str, **parameters: object) -> dict[str, Any]:
+        """Send a command of the protocol; return its result."""
+        self.count += 1
+        self.socket.send(json.dumps({"id": self.count, "method": method, "params": parameters}))
+        while True:
+            message = json.loads(self.socket.recv(timeout=60))
+            if message.get("id") == self.count:
+                assert "error" not in message, message
+                return message["result"]
+            self._keep(message.get("method"), message.get("params", {}))
+
+    def _keep(self, method: str, parameters: dict[str, Any]) -> None:
+        if method == "Runtime.exceptionThrown":
+            self.said.append(str(parameters["exceptionDetails"].get("exception", parameters)))
+        elif method == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+            self.said.append(parameters["entry"]["text"])
+        elif method == "Network.requestWillBeSent":
+            self.asked.append(parameters["request"]["url"])
+
+    def value(self, script: str) -> Any:
+        """Return what an expression in the page is, awaited where it is a promise."""
+        result = self.do("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
+
+    def wait(self, script: str, seconds: float = 30.0) -> Any:
+        """Return what an expression in the page is as soon as that is truthy."""
+        end = time.monotonic() + seconds
+        while not (found := self.value(script)):
+            assert time.monotonic() < end, (script, self.said, self.value("document.body.innerText"))
+            time.sleep(0.02)
+        return found
+
+    def press(self, key: str, count: int = 1) -> None:
+        """Press a key, where the focus is."""
+        for _ in range(count):
+            for kind in ("rawKeyDown", "keyUp"):
+                self.do("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEYS[key])
+
+    def picture(self, path: Path) -> None:
+        """Write what is seen as a PNG."""
+        path.write_bytes(base64.b64decode(self.do("Page.captureScreenshot", format="png")["data"]))
+
+    def _until(self, found: Callable[[], str], *missing: type[Exception]) -> str:
+        end = time.monotonic() + 30.0
+        while True:
+            try:
+                return found()
+            except missing:
+                assert time.monotonic() < end
+                assert self.process.poll() is None
+                time.sleep(0.05)
+
+
+KEYS = {"ArrowLeft": 37, "ArrowRight": 39, "Home": 36, "End": 35}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from cosim.errors import UserError
-from cosim.evaluation import evaluation_in
+from cosim.judged_signals import evaluation_in
 from cosim.new import new
 from cosim.results import Result
 from cosim.scenario import load_scenario

@@ -10,10 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cosim.errors import UserError
-from cosim.evaluation import evaluation_in
 from cosim.fmu_files import start_values_of
 from cosim.inputs import DisturbanceSection, Sine
-from cosim.judged_signals import kept_upright
+from cosim.judged_signals import evaluation_in, kept_upright
 from cosim.metrics import evaluate
 from cosim.offsets import random_measurement
 from cosim.pendulum import WIRES

@@ -12,8 +12,8 @@ import pytest
 from scipy.linalg import expm, solve_continuous_are
 
 from cosim.errors import UserError
-from cosim.evaluation import evaluation_in
 from cosim.fmu_files import start_values_of
+from cosim.judged_signals import evaluation_in
 from cosim.metric_meanings import quantities_of
 from cosim.metrics import evaluate
 from cosim.overlay import compared, lay

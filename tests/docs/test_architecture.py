@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PARTS = (
     "cosim.cli",
+    "cosim.explore",
     "cosim.hil",
     "cosim.paper",
     "cosim.studies",

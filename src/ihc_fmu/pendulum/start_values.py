@@ -18,7 +18,7 @@ from ..sliding_mode import SlidingMode, fitted_smc, tuned_sta
 from ..system import PENDULUM
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
-from .kalman import kalman_gain, linearize
+from .kalman import KalmanOptions, kalman_gain, linearize
 from .nominal_model import nominal_model
 
 CAPTURE_FRACTION = 0.85
@@ -83,10 +83,15 @@ def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit:
     return values
 
 
-def kalman_values(nominal: Mapping[str, Value], sample_time: float) -> dict[str, Value]:
-    """Return the Kalman filter's gain for the nominal model with the start values `nominal_...` and a sample time [s]."""
+def kalman_values(
+    nominal: Mapping[str, Value], sample_time: float, options: KalmanOptions | None = None
+) -> dict[str, Value]:
+    """Return the Kalman filter's gain for the nominal model with the start values `nominal_...` and a sample time [s].
+
+    `options` are its noises; None: the usual ones.
+    """
     A, b = linearize(nominal_model(nominal))
-    M = kalman_gain(A, b, sample_time)
+    M = kalman_gain(A, b, sample_time, options)
     return {**zip_names(kalman_gains(), M.ravel()), "kalman_sample_time": sample_time}
 
 

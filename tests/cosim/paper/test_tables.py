@@ -28,7 +28,8 @@ from cosim.paper.tables import (
     swing_ups_table,
 )
 from cosim.paper.variants import sweep_name
-from cosim.paper.verdicts import Share, margin, share_of_wins
+from cosim.paper.verdicts import margin, share_of_wins, verdict_of
+from cosim.studies.estimates import Share
 from tests.cosim.paper.test_table import cells_of, saved
 
 NAN = math.nan
@@ -171,7 +172,7 @@ def test_the_table_of_shares_is_what_comparing_gives(mixed):
         keys = [key for key in mixed if key[:4] == cell]
         assert keys == cells[cell]
         share = share_of_wins(mixed, keys, "IHC", row["against"], measures[row["measure"]])
-        assert (row["wins"], row["draws"], row["verdict"]) == (share.wins, share.draws, share.verdict)
+        assert (row["wins"], row["draws"], row["verdict"]) == (share.wins, share.draws, verdict_of(share))
         assert [row["share"], row["low"], row["high"]] == [100 * share.value, *(100 * end for end in share.interval)]
         for column, variant in (("kept_ihc", "IHC"), ("kept_other", row["against"])):
             assert row[column] == sum(mixed[key]["kept"] for key in keys if key.variant == variant)

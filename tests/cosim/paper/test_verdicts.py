@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy.stats import binom, norm
 
 from cosim.paper.study import Key
-from cosim.paper.verdicts import Claim, Share, margin, share_of_wins, tolerance
+from cosim.paper.verdicts import Claim, margin, share_of_wins, tolerance, verdict_of
+from cosim.studies.estimates import Share
 
 NAN, INF = math.nan, math.inf
 
@@ -42,19 +43,19 @@ def test_the_interval_is_wilsons(tally):
 def test_what_holds_one_way_does_not_hold_the_other_way(tally):
     wins, draws = tally
     other = {"holds": "does not hold", "does not hold": "holds", "undecided": "undecided"}
-    assert Share(draws - wins, draws).verdict == other[Share(wins, draws).verdict]
+    assert verdict_of(Share(draws - wins, draws)) == other[verdict_of(Share(wins, draws))]
 
 
 def test_four_draws_of_one_kind_decide_and_three_do_not():
     """All wins: the interval begins at n/(n + z²), above a half for n > z² = 3.84."""
     assert Share(4, 4).interval == pytest.approx((4 / (4 + norm.ppf(0.975) ** 2), 1.0))
-    assert [Share(n, n).verdict for n in (1, 3, 4, 200)] == ["undecided", "undecided", "holds", "holds"]
-    assert [Share(0, n).verdict for n in (1, 3, 4, 200)] == ["undecided"] * 2 + ["does not hold"] * 2
+    assert [verdict_of(Share(n, n)) for n in (1, 3, 4, 200)] == ["undecided", "undecided", "holds", "holds"]
+    assert [verdict_of(Share(0, n)) for n in (1, 3, 4, 200)] == ["undecided"] * 2 + ["does not hold"] * 2
 
 
 @pytest.mark.parametrize("n", [2, 10, 200, 10_000])
 def test_half_of_the_draws_decide_nothing(n):
-    assert Share(n // 2, n).verdict == "undecided"
+    assert verdict_of(Share(n // 2, n)) == "undecided"
 
 
 @given(tallies())
@@ -62,13 +63,17 @@ def test_a_verdict_is_the_score_test_against_one_half(tally):
     """Wilson's interval excludes 1/2 where |2w - n| > z sqrt(n): of 200 draws 114 decide, 113 do not."""
     wins, draws = tally
     distance = abs(2 * wins - draws) - float(norm.ppf(0.975)) * math.sqrt(draws)
-    assert (Share(wins, draws).verdict == "undecided") == (distance <= 0.0)
-    assert [Share(wins, 200).verdict for wins in (86, 87, 113, 114)] == ["does not hold", *["undecided"] * 2, "holds"]
+    assert (verdict_of(Share(wins, draws)) == "undecided") == (distance <= 0.0)
+    assert [verdict_of(Share(wins, 200)) for wins in (86, 87, 113, 114)] == [
+        "does not hold",
+        *["undecided"] * 2,
+        "holds",
+    ]
 
 
 def test_without_draws_a_share_is_open():
     share = Share(0, 0)
-    assert (share.interval, share.verdict) == ((0.0, 1.0), "undecided")
+    assert (share.interval, verdict_of(share)) == ((0.0, 1.0), "undecided")
     assert math.isnan(share.value)
     assert str(share) == "no draw decides"
     assert str(Share(7, 10)) == "7 of 10 (40 to 89 %)"
@@ -85,7 +90,7 @@ def test_the_interval_contains_the_truth_in_19_of_20_studies():
 
 def test_seeded_studies_seldom_decide_between_equals_and_see_a_clear_difference():
     rng = np.random.default_rng(1)
-    by_wins = [Share(k, 200).verdict for k in range(201)]
+    by_wins = [verdict_of(Share(k, 200)) for k in range(201)]
     equals = Counter(by_wins[k] for k in rng.binomial(200, 0.5, 20_000))
     assert equals["undecided"] / 20_000 == pytest.approx(0.95, abs=0.01)
     assert {by_wins[k] for k in rng.binomial(200, 0.75, 200)} == {"holds"}
@@ -189,7 +194,7 @@ def test_a_value_holds_within_its_tolerance_ends_included(ours, low, high, verdi
 
 @pytest.mark.parametrize("share", [Share(200, 200), Share(100, 200), Share(0, 200), Share(0, 0)])
 def test_a_ranking_is_decided_by_the_draws_whatever_the_run_without_draws_says(share):
-    assert {claim(ours, share=share).verdict for ours in (-9.0, 0.0, 9.0, NAN)} == {share.verdict}
+    assert {claim(ours, share=share).verdict for ours in (-9.0, 0.0, 9.0, NAN)} == {verdict_of(share)}
 
 
 def test_a_claim_with_neither_tolerance_nor_draws_has_no_verdict():

@@ -1,0 +1,113 @@
+"""The page in a browser, served by the command."""
+
+import signal
+import time
+
+import pytest
+
+import cosim
+from tests.cosim.browser import Tab, in_browser
+from tests.cosim.command import started
+
+A_MIN = "document.querySelector('input[type=range][aria-label=a_min]')"
+CELLS = "[...document.querySelectorAll('table.numbers tr')].map(row => [...row.children].map(cell => cell.innerText))"
+CURVES = "[...document.querySelectorAll('.plots canvas')].map(canvas => canvas.toDataURL())"
+DRAWN = "Number(document.querySelector('.seen')?.dataset.drawn)"
+
+
+@pytest.fixture(scope="module")
+def served(fmus, tmp_path_factory):
+    """The command with its page: the process, the address, the folder that it writes to."""
+    folder = tmp_path_factory.mktemp("explored")
+    arguments = ("explore", "tilt", "--set", "run.duration=1", "--fmus", fmus, "--no-browser")
+    process = started(*arguments, cwd=folder)
+    assert process.stdout is not None
+    said = process.stdout.readline()
+    assert said.startswith("tilt on http://127.0.0.1:"), said
+    yield process, said.split()[2].rstrip(";"), folder
+    process.kill()
+    process.communicate()
+
+
+@pytest.fixture
+def tab(served, tmp_path):
+    _, address, _ = served
+    with Tab(tmp_path, address) as opened:
+        opened.wait(DRAWN)
+        yield opened
+        opened.value("[...document.querySelectorAll('button')].find(one => one.innerText === 'reset').click()")
+
+
+def moved(tab, key, count=1):
+    """Press a key at the slider of a_min; return the table and the curves before and after."""
+    before, drawn = (tab.value(CELLS), tab.value(CURVES)), tab.value(DRAWN)
+    tab.value(f"{A_MIN}.focus()")
+    tab.press(key, count)
+    tab.wait(f"{DRAWN} > {drawn}")
+    time.sleep(0.3)
+    return *before, tab.value(CELLS), tab.value(CURVES)
+
+
+@in_browser
+def test_a_slider_moves_the_curves_and_the_metrics_of_the_ihc(tab):
+    cells, curves, other_cells, other_curves = moved(tab, "Home")
+    assert cells[0] == ["", "LC", "IHC", "IHC over LC"]
+    assert [row[1] for row in cells] == [row[1] for row in other_cells]  # the LC has no a_min
+    assert [row[2] for row in cells[1:4]] != [row[2] for row in other_cells[1:4]]
+    assert len(curves) == 4
+    assert all(a != b for a, b in zip(curves, other_curves, strict=True))
+    assert tab.value("document.querySelector('input[aria-label=a_min][type=number]').value") == "0.05"
+    assert (tab.said, [url for url in tab.asked if not url.startswith(("http://127.0.0.1:", "data:"))]) == ([], [])
+
+
+@in_browser
+def test_a_law_can_be_taken_away_and_what_is_set_survives_a_reload(tab):
+    moved(tab, "Home")
+    tab.value("document.querySelector('[role=checkbox][aria-label=LC]').click()")
+    tab.wait(f"{CELLS}[0].length === 2")
+    assert tab.value("document.querySelectorAll('.legend')[0].innerText").split() == ["arm", "θ"]
+    tab.value("window.before = true")
+    tab.do("Page.reload")
+    tab.wait(f"!window.before && {DRAWN} && {CELLS}[0]?.join() === ',IHC'")
+    assert tab.value(f"{A_MIN}.value") == "0.05"
+    tab.value("document.querySelector('[role=checkbox][aria-label=LC]').click()")
+    tab.wait(f"{CELLS}[0].length === 4")
+
+
+@in_browser
+def test_what_is_written_runs(tab, served, fmus):
+    _, _, folder = served
+    moved(tab, "Home")
+    tab.value("[...document.querySelectorAll('button')].find(one => one.innerText === 'write scenario').click()")
+    said = tab.wait("document.querySelector('[role=status]').innerText")
+    assert said.startswith(f"wrote {folder / 'tilt_explored.toml'}; it runs by: qube-ihc run tilt_explored.toml")
+    metrics = cosim.evaluate(cosim.run(folder / "tilt_explored.toml", fmus=fmus))
+    assert f"{metrics.integral_q2:.4g}" in [row[2] for row in tab.value(CELLS)]
+
+
+@in_browser
+def test_a_value_that_is_refused_is_a_sentence_on_the_page(tab):
+    tab.value("document.querySelector('input[aria-label=a_min][type=number]').focus()")
+    tab.value("document.execCommand('selectAll')")
+    tab.do("Input.insertText", text="-1")
+    tab.value("document.activeElement.blur()")
+    assert "a_min must lie in [1e-06, 1e+12]" in tab.wait("document.querySelector('[role=alert]').innerText")
+    tab.value("[...document.querySelectorAll('button')].find(one => one.innerText === 'reset').click()")
+    tab.wait("document.querySelector('[role=alert]').innerText === ''")
+
+
+@in_browser
+def test_the_page_fits_a_telephone_and_every_field_has_a_name(served, tmp_path):
+    with Tab(tmp_path, served[1], 390, 844) as opened:
+        opened.wait(DRAWN)
+        assert opened.value("document.documentElement.scrollWidth") == 390
+        named = "one.ariaLabel || one.labels.length || one.closest('[aria-hidden=true]')"
+        unnamed = f"[...document.querySelectorAll('input')].filter(one => !({named})).length"
+        assert opened.value(unnamed) == 0
+
+
+def test_ctrl_c_ends_it_well(served):
+    process, _, _ = served
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out, err) == (0, "", "")
