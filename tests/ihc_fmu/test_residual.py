@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -113,7 +114,8 @@ def counted_runs(design, K, draws=64, samples=8000):
     """Return the states (samples/2, n, draws) of the linear loop with counters that are zeroed at random, to the end."""
     s = design.system
     F, G = held(s.A, s.B, s.sample_time)
-    E, L, U, V, *_ = filtered(regulator_of(design).filter, K)
+    estimator: Any = regulator_of(design).filter
+    E, L, U, V, *_ = filtered(estimator, K)
     offsets = np.random.default_rng(3).random((s.p, draws))
     q = s.resolutions[:, None]
     x, z, seen = np.full((s.n, draws), 1e-3), np.zeros((len(E), draws)), []
