@@ -18,9 +18,12 @@ from ihc_fmu.largest_rate import largest_alpha, largest_alpha_of
 from ihc_fmu.lmi import InfeasibleError
 from ihc_fmu.options import Options
 from ihc_fmu.pendulum.paper_system import paper_system
+from ihc_fmu.pendulum.residual import residual_set as pendulum_residual
+from ihc_fmu.residual import Residual, residual_set
 from ihc_fmu.synthesis import SHARE_OF_LIMIT, Choice, chosen_options, degrees
 from ihc_fmu.system import System
 
+from .certified import is_pendulums
 from .design_export import check_exportable
 from .errors import UserError
 
@@ -84,6 +87,14 @@ def unexportable(design: Design) -> list[str]:
     except UserError as error:
         return [f"export will refuse this: {error}"]
     return []
+
+
+def residual_of(design: Design, a_min: float) -> Residual:
+    """Return what counting leaves under the IHC with the Kalman filter of its controller FMU; raises as `residual_set`."""
+    if not is_pendulums(design):
+        return residual_set(design, a_min)
+    changes = {"a_min": a_min, "b_max": max(a_min, 1.0), "velocity_source": "kalman", "discretization": "semi_implicit"}
+    return pendulum_residual(design, changes)
 
 
 def beyond_limits(design: Design) -> list[str]:

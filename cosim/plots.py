@@ -33,7 +33,14 @@ class Picture(Figure):
         return buffer.getvalue()
 
 
-COLOURS = {"LC": "#1f77b4", "SMC": "#e08214", "IHC": "#1b7837", "SMC1": "#e08214", "SMC2": "#a6611a"}
+COLOURS = {
+    "LC": "#1f77b4",
+    "SMC": "#e08214",
+    "IHC": "#1b7837",
+    "STA": "#c51b7d",
+    "SMC1": "#e08214",
+    "SMC2": "#a6611a",
+}
 """Of each law, in every picture."""
 
 OTHERS = ("#6a3d9a", "#d6604d", "#35978f", "#8c510a", "#e377c2", "#525252")

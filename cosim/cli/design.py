@@ -11,7 +11,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, interruptible, print_design, problems, say_notes
+from .display import console, escaped, interruptible, print_design, print_residual, problems, say_notes
 
 
 class Method(StrEnum):
@@ -54,6 +54,14 @@ def design(
     d_max: Annotated[
         float, typer.Option(help="Matched disturbance that the proof must reject, in units of the input; mu = 1 only.")
     ] = 0.0,
+    residual: Annotated[
+        float | None,
+        typer.Option(
+            metavar="A_MIN",
+            help="Also print what counted sensors leave in the steady state with this a_min, with the controller's Kalman "
+            "filter.",
+        ),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Where to write the design; none: `design.json`.")
     ] = None,
@@ -74,8 +82,11 @@ def design(
         of, wish = designing.system_and_wish(system, wish)
         with problems.status("solving the matrix inequalities") as shown:
             solved, choice = designing.find(of, wish, shown.update)
+            found = None if residual is None else designing.residual_of(solved, residual)
             solved.save(path)
             print_design(solved, choice.reasons)
             say_notes([*designing.beyond_limits(solved), *designing.unexportable(solved)])
             console.print(escaped(designing.prospect(solved, choice.options, wish.direct, shown.update)))
+            if found is not None and residual is not None:
+                print_residual(solved, residual, found)
     console.print(f"wrote {escaped(path)}")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from ihc_fmu.design import Design
+    from ihc_fmu.residual import Residual
 
     from ..paper.verdicts import Claim
     from ..results import Result
@@ -244,6 +245,22 @@ def print_design(design: Design, reasons: Sequence[str] = ()) -> None:
     console.print(table)
     for reason in reasons:
         console.print(f"chosen: {escaped(reason)}", highlight=False)
+
+
+def print_residual(design: Design, a_min: float, found: Residual) -> None:
+    """Print what counted sensors leave with this a_min, and whether the bound is proven."""
+    from rich.table import Table
+
+    title = f"what counting leaves with a_min = {a_min:g}"
+    table = Table("", "RMS", "RMS if it were white noise", "at most", title=title, title_justify="left")
+    for i, q in enumerate(design.system.states):
+        table.add_row(escaped(str(q)), *(f"{values[i]:.3g}" for values in (found.rms, found.white, found.bound)))
+    for i, q in enumerate(design.system.inputs):
+        table.add_row(escaped(str(q)), f"{found.input_rms[i]:.3g}", "", f"{found.input_bound[i]:.3g}")
+    console.print(table)
+    ball = f"in the ball of a_min, where the law is linear, the estimate reaches {found.norm_bound:.3g} of the radius"
+    limits = ", and an input may be limited" if found.limited else ""
+    console.print(f"the bound is {'proven' if found.proven else 'not proven of the law'}: {ball} at most{limits}")
 
 
 def print_tuning(tuning: Tuning) -> None:

@@ -20,10 +20,9 @@ from ihc_fmu.pendulum.kalman import KalmanOptions
 from ihc_fmu.pendulum.start_values import design_values, kalman_values
 
 from .. import parameter_files
-from ..evaluation import evaluation_in
 from ..fmu import FmuError
 from ..fmu_files import start_values_of
-from ..judged_signals import kept_upright, overflow
+from ..judged_signals import evaluation_in, kept_upright, overflow
 from ..metric_meanings import MetricMeaning, is_pendulum
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
 from ..names import is_plain

@@ -8,7 +8,6 @@ from typing import Any
 
 from fmu_export.errors import UserError
 from fmu_export.files import FilePath
-from ihc_fmu.pendulum.interface import LAWS
 
 from ..coupling import Coupling
 from ..fmu import Instance
@@ -25,6 +24,9 @@ from ..wiring import CONTROLLER
 from .comparison import Comparison, Draw
 from .draws import PENDULUM, Chance, chance_of, draw_changes
 from .engine import Job, Workers, judge_all
+
+LAWS = ("LC", "SMC", "IHC")
+"""What a comparison takes of a controller's laws unless it is told others, and their order: the paper's."""
 
 LAW = "controller.start.law"
 """The entry that a comparison varies unless it is told another."""

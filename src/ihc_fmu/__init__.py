@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from .lmi import InfeasibleError
     from .options import Options
     from .quantity import Quantity
+    from .residual import Residual, residual_set
     from .synthesis import Choice, chosen_options, synthesize
     from .system import System
 
@@ -50,6 +51,7 @@ __all__ = [
     "InfeasibleError",
     "Options",
     "Quantity",
+    "Residual",
     "System",
     "UserError",
     "__version__",
@@ -58,6 +60,7 @@ __all__ = [
     "inverse_design",
     "largest_alpha",
     "norm_of",
+    "residual_set",
     "settling_time_bound",
     "synthesize",
 ]
@@ -73,6 +76,7 @@ _HOMES = {
     "ihc_fmu.lmi": ("InfeasibleError",),
     "ihc_fmu.options": ("Options",),
     "ihc_fmu.quantity": ("Quantity",),
+    "ihc_fmu.residual": ("Residual", "residual_set"),
     "ihc_fmu.synthesis": ("Choice", "chosen_options", "synthesize"),
     "ihc_fmu.system": ("System",),
 }

@@ -34,5 +34,7 @@ CONSTANTS: dict[str, int | float] = {
     "MOST_EXACT": linear_algebra.MOST_EXACT,
     "SPLIT": linear_algebra.SPLIT,
     "MOST": laws.MOST,
+    "STA_PROPORTIONAL": laws.PROPORTIONAL,
+    "STA_INTEGRAL": laws.INTEGRAL,
 }
 """By their names in C; what each means is told where Python has it."""

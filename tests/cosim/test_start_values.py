@@ -40,7 +40,7 @@ def test_values_are_brought_into_their_type(variables, name, value, expected):
     ("name", "value", "rule"),
     [
         ("law", "PID", f"law must be one of {', '.join(LAWS)}, found 'PID'"),
-        ("law", 4, f"law must be one of {', '.join(LAWS)}, found 4"),
+        ("law", 5, f"law must be one of {', '.join(LAWS)}, found 5"),
         ("law", 0, f"law must be one of {', '.join(LAWS)}, found 0"),
         ("law", True, f"law must be one of {', '.join(LAWS)}, found true"),
         ("j_max", 2.5, "j_max must be an integer of 32 bits, found 2.5"),

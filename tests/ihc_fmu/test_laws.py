@@ -185,3 +185,53 @@ def test_sliding_variable_reaches_zero_when_its_reaching_law_says():
         u = laws.sliding_mode(smc.c, smc.k_eq, smc.rho, [position, velocity])
         position, velocity, t = position + h * velocity + h * h * u / 2, velocity + h * u, t + h
     assert t == pytest.approx(log(1 + kappa * s_0 / rho) / kappa, abs=5 * h)
+
+
+def twisted(disturbance, h, *, implicit, rate=2.0, s=0.5, seconds=3.0):
+    """Return s of s' = w + d at the samples, and the last v; d is held between them."""
+    v, surface = 0.0, [s]
+    for k in range(round(seconds / h)):
+        w, v = laws.super_twisting(surface[-1], v, rate, h, implicit)
+        surface.append(surface[-1] + h * (w + disturbance(k * h)))
+    return np.array(surface), v
+
+
+def test_implicit_super_twisting_takes_a_constant_disturbance_away_and_rests():
+    """s = 0 and v = -d to rounding; Euler's explicit method chatters about both."""
+    surface, v = twisted(lambda _: 0.7, 1e-3, implicit=True)
+    assert np.abs(surface[-500:]).max() < 1e-15
+    assert v == pytest.approx(-0.7, abs=1e-12)
+    chattering, _ = twisted(lambda _: 0.7, 1e-3, implicit=False)
+    assert np.abs(chattering[-500:]).max() > 1e-8
+
+
+@pytest.mark.parametrize("implicit", [False, True])
+def test_what_super_twisting_leaves_of_a_disturbance_below_its_rate_falls_as_the_squared_sample_time(implicit):
+    """|d'| <= 1.8 < L = 2: |s| = O(h^2), which no continuous law of s alone reaches."""
+    coarse, fine = (
+        np.abs(twisted(lambda t: np.sin(1.8 * t), h, implicit=implicit)[0][round(1.5 / h) :]).max()
+        for h in (2e-3, 2.5e-4)
+    )
+    assert np.log(coarse / fine) / np.log(8.0) == pytest.approx(2.0, abs=0.2)
+
+
+def test_implicit_super_twisting_solves_for_the_next_root_and_is_linear_near_0():
+    """Next s = s - h k_1 |next s|^(1/2) sign(s) for v = -d; near 0 (s, v + d) has both poles at 1/2."""
+    h, rate = 0.01, 3.0
+    k_1, k_2 = 1.5 * np.sqrt(rate), 1.1 * rate
+    for s in (0.3, -0.02, 5.0 * h * h * k_2):
+        w, v = laws.super_twisting(s, 0.0, rate, h, True)
+        following = s + h * w
+        assert following == pytest.approx(s - h * k_1 * np.sqrt(abs(following)) * np.sign(s), rel=1e-12)
+        assert v == pytest.approx(-h * k_2 * np.sign(s), rel=1e-12)
+    s = 1e-9
+    (proportional, integral), (kept, _) = (laws.super_twisting(x, v, rate, h, True) for x, v in ((s, 0.0), (0.0, s)))
+    step = np.array([[1.0 + h * proportional / s, h * kept / s], [integral / s, 1.0]])
+    np.testing.assert_allclose([np.trace(step), np.linalg.det(step)], [1.0, 0.25], rtol=1e-5)
+
+
+def test_integral_winds_up_only_where_it_moves_to_the_side_that_is_limited():
+    assert laws.winds_up(5.1, 0.1, -5.0, 5.0)
+    assert laws.winds_up(-5.1, -0.1, -5.0, 5.0)
+    assert not laws.winds_up(5.1, -0.1, -5.0, 5.0)
+    assert not laws.winds_up(4.9, 0.1, -5.0, 5.0)

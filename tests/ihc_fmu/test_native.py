@@ -14,7 +14,7 @@ from fmpy.fmi1 import FMICallException
 
 from fmu_export.errors import UserError
 from fmu_export.native_fmu import export_native_fmu
-from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.interface import INTERFACE, LAWS
 from ihc_fmu.pendulum.native_unit import NATIVE
 from ihc_fmu.pendulum.start_values import design_values, kalman_values
 from ihc_fmu.pendulum.supervisor import Mode
@@ -31,7 +31,7 @@ EXACT = sys.platform == "linux" and platform.machine() == "x86_64"
 STEP = 1e-3
 INPUTS = [v.name for v in INTERFACE.of("input")]
 OUTPUTS = [v.name for v in INTERFACE.calculated]
-LAW, SOLVER, DISCRETIZATION, SOURCE = {"LC": 1, "SMC": 2, "IHC": 3}, (1, 2), (1, 2), (1, 2, 3)
+LAW, SOLVER, DISCRETIZATION, SOURCE = {law: i for i, law in enumerate(LAWS, 1)}, (1, 2), (1, 2), (1, 2, 3)
 FILTER, INPUT, KALMAN = SOURCE
 
 
@@ -130,7 +130,7 @@ def pair(instance, controller):
 @pytest.mark.parametrize("source", SOURCE)
 @pytest.mark.parametrize(
     ("law", "solver", "discretization"),
-    [("LC", 1, 1), ("SMC", 1, 1), *itertools.product(["IHC"], SOLVER, DISCRETIZATION)],
+    [("LC", 1, 1), ("SMC", 1, 1), ("STA", 1, 1), ("STA", 1, 2), *itertools.product(["IHC"], SOLVER, DISCRETIZATION)],
 )
 def test_every_law_and_estimator_is_the_same_through_all_modes(law, solver, discretization, source, pair):
     both = pair(law=LAW[law], norm_solver=solver, discretization=discretization, velocity_source=source)
@@ -224,11 +224,12 @@ def tuned(rng):
     """Random values of some tunable parameters."""
     a_min = 10 ** rng.uniform(-3, 0)
     everything = {
-        "law": rng.randint(1, 3),
+        "law": rng.choice(list(LAW.values())),
         "norm_solver": rng.randint(1, 2),
         "discretization": rng.randint(1, 2),
         "j_max": rng.randint(1, 60),
         "smc_rho": rng.uniform(0, 3),
+        "sta_rate": rng.uniform(0, 1000),
         "voltage_limit": rng.uniform(0, 12),
         "enabled": rng.random() < 0.9,
         "swing_up_enabled": rng.random() < 0.9,

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 
-from ihc_fmu.sliding_mode import fitted_smc, linear_pole_smc, sliding_mode_design
+from ihc_fmu.riccati import lqr_gain
+from ihc_fmu.sliding_mode import certified_surface, fitted_smc, linear_pole_smc, sliding_mode_design
 
 
 def sorted_poles(M):
@@ -62,3 +64,21 @@ def test_impossible_surface_is_refused(paper, poles, kappa, rho, message):
 def test_loop_without_a_real_pole_has_no_reaching_rate():
     with pytest.raises(ValueError, match="must have a real pole"):
         linear_pole_smc(np.eye(2, k=1), np.array([0.0, 1.0]), np.array([-1.0, -0.5]))
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 1), (5, 1), (4, 2), (6, 3), (3, 3)])
+def test_certified_surface_is_normalized_reached_at_one_rate_and_slid_on_stably(n, m):
+    """S B = I, S (A + B K_s) = -kappa S, and the other n - m poles are stable, for any P that proves A + B K stable."""
+    rng = np.random.default_rng(10 * n + m)
+    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
+    K = lqr_gain(A, B, np.ones(n), np.ones(m), [f"x{i}" for i in range(n)])
+    P = solve_continuous_lyapunov((A + B @ K).T, -np.eye(n))
+    surface = certified_surface(A, B, K, P)
+    closed = A + B @ surface.K_s
+    np.testing.assert_allclose(surface.S @ B, np.eye(m), atol=1e-9)
+    rates = -np.diag(surface.S @ closed @ np.linalg.pinv(surface.S))
+    assert rates.min() > 0.0
+    np.testing.assert_allclose(surface.S @ closed, -rates[0] * surface.S, atol=1e-8)
+    poles = np.linalg.eigvals(closed)
+    assert poles.real.max() < 0.0
+    assert np.isclose(poles, -rates[0], rtol=1e-6).sum() >= m

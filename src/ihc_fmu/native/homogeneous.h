@@ -711,4 +711,28 @@ static inline void homogeneous_law(const block_design *d, double r, double h, co
     }
 }
 
+/* ---- Super-twisting ---------------------------------------------------------------------------------------------- */
+
+/* w = -k_1 |s|^(1/2) sign(s) + v, v' = -k_2 sign(s), k_1 = 1.5 sqrt(rate), k_2 = 1.1 rate, by Euler's method for samples of
+ * h, explicit, or implicit with a linear sign where |s| < 4 h^2 k_2; returns w, and the next v in `moved`. */
+static inline double super_twisting(double s, double v, double rate, double h, int implicit, double *moved)
+{
+    const double k_1 = STA_PROPORTIONAL * sqrt(rate), turn = h * (STA_INTEGRAL * rate);
+    const double size = fabs(s);
+    double root = sqrt(size), change = turn;
+    if (implicit) {
+        const double half = 0.5 * (h * k_1);
+        root = size > 0.0 ? size / opaque(half + sqrt(half * half + size)) : 0.0;
+        change = size >= 4.0 * (h * turn) ? turn : size / (4.0 * h);
+    }
+    *moved = s > 0.0 ? v - change : s < 0.0 ? v + change : v;
+    return s > 0.0 ? v - k_1 * root : v + k_1 * root;
+}
+
+/* Whether a change of an input's integral would push the wanted input farther beyond its limits. */
+static inline int winds_up(double wanted, double change, double low, double high)
+{
+    return (wanted > high && change > 0.0) || (wanted < low && change < 0.0);
+}
+
 #endif

@@ -271,28 +271,26 @@ static int fail(const regulator_prepared *q, regulator_state *s, int32_t fault)
     return REGULATOR_NEW_FAULT;
 }
 
-static void next_mode(const regulator_params *p, regulator_state *s)
+static void next_mode(const regulator_params *p, const regulator_prepared *q, regulator_state *s)
 {
     if (p->enabled && s->mode != REGULATOR_MODE_STABILIZING) {
         s->interval[0] = p->a_min;
         s->interval[1] = p->b_max;
         memset(s->v, 0, sizeof s->v);
     }
+    if (!q->integrates && p->law != REGULATOR_LAW_STA) {
+        memset(s->v, 0, sizeof s->v);
+    }
     s->mode = p->enabled ? REGULATOR_MODE_STABILIZING : REGULATOR_MODE_IDLE;
 }
 
-/* Advance the integral action, but for entries that would push a command farther beyond its limit; 0: not finite. */
-static int integrate(const regulator_params *p, const regulator_prepared *q, regulator_state *s,
-                     const block_state *state, const double *wanted)
+/* Take the next v, but for entries that would push a command farther beyond its limit; 0: not finite. */
+static int integrated(const regulator_params *p, regulator_state *s, const double *moved, const double *wanted)
 {
     const int m = p->input_count;
-    double rates[INPUTS], v[INPUTS];
-    const double r = s->norm_used;
-    const int is_free = p->law != REGULATOR_LAW_LC && q->search.a_min < r && r < q->search.b_max;
-    integrand(&q->design, q->Kiz, r, state, is_free, rates);
+    double v[INPUTS];
     for (int i = 0; i < m; i++) {
-        const int winds_up = (wanted[i] > p->upper[i] && rates[i] > 0.0) || (wanted[i] < p->lower[i] && rates[i] < 0.0);
-        v[i] = winds_up ? s->v[i] : flushed(s->v[i] + p->sample_time * rates[i], LEAST);
+        v[i] = winds_up(wanted[i], moved[i] - s->v[i], p->lower[i], p->upper[i]) ? s->v[i] : flushed(moved[i], LEAST);
     }
     if (!all_finite(v, m)) {
         return 0;
@@ -301,12 +299,42 @@ static int integrate(const regulator_params *p, const regulator_prepared *q, reg
     return 1;
 }
 
+/* Advance the integral action. */
+static int integrate(const regulator_params *p, const regulator_prepared *q, regulator_state *s,
+                     const block_state *state, const double *wanted)
+{
+    const int m = p->input_count;
+    double rates[INPUTS], moved[INPUTS];
+    const double r = s->norm_used;
+    const int is_free = p->law != REGULATOR_LAW_LC && q->search.a_min < r && r < q->search.b_max;
+    integrand(&q->design, q->Kiz, r, state, is_free, rates);
+    for (int i = 0; i < m; i++) {
+        moved[i] = s->v[i] + p->sample_time * rates[i];
+    }
+    return integrated(p, s, moved, wanted);
+}
+
+/* The inputs under the super-twisting law, v included, and the next v. */
+static void super_twisting_law(const regulator_params *p, const regulator_prepared *q, const regulator_state *s,
+                               const double *error, double *u, double *moved)
+{
+    const int n = p->state_count;
+    for (int i = 0; i < p->input_count; i++) {
+        const double w = super_twisting(dot(&p->S[i * n], error, n), s->v[i], p->sta_rate[i], p->sample_time,
+                                        q->ahead > 0.0, &moved[i]);
+        u[i] = dot(&p->Ks[i * n], error, n) + w;
+    }
+}
+
 static int command(const regulator_params *p, const regulator_prepared *q, regulator_state *s, const double *error,
                    const block_state *state, const double *r, int any)
 {
     const int n = p->state_count, m = p->input_count;
-    double u[INPUTS];
-    if (p->law == REGULATOR_LAW_LC) {
+    const int twists = p->law == REGULATOR_LAW_STA;
+    double u[INPUTS], moved[INPUTS];
+    if (twists) {
+        super_twisting_law(p, q, s, error, u, moved);
+    } else if (p->law == REGULATOR_LAW_LC) {
         for (int i = 0; i < m; i++) {
             u[i] = dot(&p->K[i * n], error, n);
         }
@@ -321,7 +349,7 @@ static int command(const regulator_params *p, const regulator_prepared *q, regul
         if (p->compensate_disturbance) {
             u[i] -= s->d[i];
         }
-        u[i] = u[i] + s->v[i] + p->input_equilibrium[i];
+        u[i] = u[i] + (twists ? 0.0 : s->v[i]) + p->input_equilibrium[i];
     }
     if (!all_finite(u, m)) {
         return fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL);
@@ -329,8 +357,10 @@ static int command(const regulator_params *p, const regulator_prepared *q, regul
     for (int i = 0; i < m; i++) {
         s->command[i] = clamp(u[i], p->lower[i], p->upper[i]);
     }
-    return q->integrates && !integrate(p, q, s, state, u) ? fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL)
-                                                          : REGULATOR_OK;
+    const int advanced = twists      ? integrated(p, s, moved, u)
+        : q->integrates ? integrate(p, q, s, state, u)
+                        : 1;
+    return advanced ? REGULATOR_OK : fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL);
 }
 
 static int sample(const regulator_params *p, const regulator_prepared *q, regulator_state *s, const regulator_inputs *u)
@@ -356,7 +386,7 @@ static int sample(const regulator_params *p, const regulator_prepared *q, regula
     }
     make_block_state(&q->design, error, &state);
     s->norm = homogeneous_norm(&q->design, &state.polynomial, s->norm);
-    next_mode(p, s);
+    next_mode(p, q, s);
     s->norm_used = 1.0;
     if (s->mode == REGULATOR_MODE_IDLE) {
         memcpy(s->command, q->idle, sizeof s->command);

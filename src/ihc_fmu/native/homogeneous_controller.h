@@ -1,5 +1,5 @@
 /* Stabilization of any linear model of up to 16 states, 8 inputs and 16 measured outputs: state estimation by a linear
- * Kalman filter or a homogeneous observer, set-points, the linear or implicit homogeneous law, compensation of
+ * Kalman filter or a homogeneous observer, set-points, the linear, implicit homogeneous or super-twisting law, compensation of
  * estimated disturbances, integral action, limits, faults. What is sampled, and when, is the sample clock's.
  *
  * At each sample, with deviations x, y, u from the equilibrium of the model and set-points r:
@@ -74,6 +74,9 @@ typedef struct {
     double Lz[REGULATOR_STATES * REGULATOR_OUTPUTS]; /* (n, p), To^-T (L - L_0) */
     double observer_degree;                          /* nu [1] */
     double q_min, q_max;                             /* bounds of the output error in its gain */
+    double S[BLOCK_GAINS];                           /* (m, n), sliding surfaces s = S e of the super-twisting law */
+    double Ks[BLOCK_GAINS];                          /* (m, n), its linear part */
+    double sta_rate[REGULATOR_INPUTS];               /* L of its k_1 = 1.5 sqrt(L), k_2 = 1.1 L */
 } regulator_params;
 
 typedef struct {
@@ -109,7 +112,7 @@ typedef struct {
     double x[REGULATOR_STATES];       /* estimated state */
     double d[REGULATOR_INPUTS];       /* estimated disturbances of the inputs */
     double b[REGULATOR_OUTPUTS];      /* estimated biases of the outputs */
-    double v[REGULATOR_INPUTS];       /* integral action */
+    double v[REGULATOR_INPUTS];       /* integral action, or that of the super-twisting law */
     double interval[2];               /* [a, b] of Algorithm 1 */
     double norm;                      /* homogeneous norm */
     double norm_used;                 /* its value in the law */

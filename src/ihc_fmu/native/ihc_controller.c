@@ -18,6 +18,19 @@ static double sliding_mode(const ihc_params *p, const double x[N])
     return dot(p->smc_k, x, N) - switching;
 }
 
+/* Super-twisting, u = k x + w; v stands still where the command is beyond the limit. */
+static double super_twisting_voltage(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const double x[N])
+{
+    double moved;
+    const double w = super_twisting(dot(p->sta_c, x, N), s->integral, p->sta_rate, p->sample_time, q->ahead > 0.0, &moved);
+    const double command = dot(p->sta_k, x, N) + w;
+    const double wanted = p->compensate_disturbance ? command - s->disturbance : command;
+    if (!winds_up(wanted, moved - s->integral, -p->voltage_limit, p->voltage_limit)) {
+        s->integral = flushed(moved, LEAST);
+    }
+    return command;
+}
+
 /* ---- Nominal model, eq. (5) in lumped numbers -------------------------------------------------------------------- */
 
 static pendulum_coefficients nominal_pendulum(const ihc_params *m)
@@ -312,6 +325,9 @@ static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ih
     if (p->law == IHC_LAW_SMC) {
         return sliding_mode(p, x);
     }
+    if (p->law == IHC_LAW_STA) {
+        return super_twisting_voltage(p, q, s, x);
+    }
     s->norm_used = norm_in_law(&q->design, &q->search, &chain->polynomial, s->norm, s->interval);
     homogeneous_law(&q->design, s->norm_used, q->ahead, chain, voltage);
     return voltage[0];
@@ -379,6 +395,9 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
     s->theta_dot = x[2];
     s->delta_dot = x[3];
     s->norm_used = 1.0;
+    if (p->law != IHC_LAW_STA || s->mode != IHC_MODE_STABILIZING || earlier != IHC_MODE_STABILIZING) {
+        s->integral = 0.0;
+    }
     if (s->mode == IHC_MODE_SWING_UP) {
         command = swing_up_voltage(p, x);
     } else if (s->mode == IHC_MODE_STABILIZING) {

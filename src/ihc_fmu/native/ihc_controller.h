@@ -1,10 +1,11 @@
-/* Swing-up and stabilization of a rotary pendulum: the C twin of ihc_fmu (LC, first-order SMC, implicit homogeneous
- * control of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems").
+/* Swing-up and stabilization of a rotary pendulum: the C twin of ihc_fmu (LC, first-order SMC, super-twisting, implicit
+ * homogeneous control of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems").
  *
  * x = (theta - theta_setpoint, delta, theta', delta'), delta = 0 upright, z = Phi x, w_i = 1 + mu (n - i), s = r^-mu:
  *
  *     LC     u = k_lin x
  *     SMC    u = smc_k x - smc_rho sign(smc_c x)
+ *     STA    u = sta_k x - k_1 |s|^(1/2) sign(s) + v,  v' = -k_2 sign(s),  s = sta_c x
  *     IHC    u = k_lin x + sum_i (kz_i s^(n-i+1) - kz_i) z_i      eq. (8), Remark 5,   r = ||x||_d, eq. (12)
  *
  * Pure functions of their arguments: no allocation, no globals, no input or output, every loop bounded. The order of
@@ -46,6 +47,9 @@ typedef struct {
     double smc_c[IHC_ORDER];                   /* sliding surface */
     double smc_k[IHC_ORDER];                   /* linear part of the sliding mode law */
     double smc_rho;                            /* switching gain [V] */
+    double sta_c[IHC_ORDER];                   /* sliding surface of the super-twisting law */
+    double sta_k[IHC_ORDER];                   /* its linear part */
+    double sta_rate;                           /* L of k_1 = 1.5 sqrt(L), k_2 = 1.1 L [V/s] */
     double sample_time;                        /* [s] */
     double voltage_limit;                      /* [V] */
     double velocity_filter_cutoff;             /* w of w s/(s + w) [rad/s] */
@@ -118,6 +122,7 @@ typedef struct {
     double norm_used;      /* its value in the law */
     double disturbance;    /* Kalman filter's estimate [V] */
     double bias;           /* Kalman filter's estimate [rad] */
+    double integral;       /* v of the super-twisting law [V] */
     double theta_dot;      /* velocity that the law uses [rad/s] */
     double delta_dot;
     double turns;   /* whole turns by which the measured delta has been unwrapped */

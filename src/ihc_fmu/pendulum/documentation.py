@@ -15,7 +15,9 @@ def notes(design: Design, nominal: str) -> str:
 <pre>LC    u = k_lin x,   x = (theta, delta, theta', delta')
 IHC   u = r^(1-mu) k d(-ln r) x - row x,   k = k_lin + row,   d(s) = exp(s Phi^-1 diag(1 + mu (n-i)) Phi)
       r = ||x||_d, the root of ||d(-ln r) x||_P = 1, limited to [a_min, b_max]
-SMC   u = smc_k x - smc_rho sign(smc_c x)</pre>
+SMC   u = smc_k x - smc_rho sign(smc_c x)
+STA   u = sta_k x - k_1 |s|^(1/2) sign(s) + v,   v' = -k_2 sign(s),   s = sta_c x
+      k_1 = 1.5 sqrt(sta_rate), k_2 = 1.1 sta_rate; v stands still where the voltage is limited, and begins at 0</pre>
 <p>D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems", eqs. (8),
 (10), (11), Algorithm 1 (corrected) and Remark 5. With a_min = b_max = 1 the IHC is the LC.</p>
 <p>The controller samples each sample_time, the communication step must divide it, and holds its voltage in between. A

@@ -17,7 +17,7 @@ ORDER = 4
 """The controller FMU is for two degrees of freedom: x = (theta, delta, theta', delta')."""
 STATES = ("theta", "delta", "theta_dot", "delta_dot")
 
-LAWS = ("LC", "SMC", "IHC")
+LAWS = ("LC", "SMC", "IHC", "STA")
 NORM_SOLVERS = ("algorithm1", "exact")
 DISCRETIZATIONS = ("explicit", "semi_implicit")
 VELOCITY_SOURCES = ("filter", "inputs", "kalman")
@@ -129,7 +129,12 @@ INTERFACE = Interface(
         _output("disturbance_estimate", "voltage that the Kalman filter takes the disturbance for", "V"),
         _output("bias_estimate", "bias of the measured pendulum angle that the Kalman filter found", "rad"),
         _output("fault", "why the controller has stopped; latched until reset", items=FAULTS),
-        _choice("law", "IHC", LAWS, "stabilizing law: linear, first-order sliding mode, implicit homogeneous"),
+        _choice(
+            "law",
+            "IHC",
+            LAWS,
+            "stabilizing law: linear, first-order sliding mode, implicit homogeneous, super-twisting",
+        ),
         *_gain_row("k_lin", "gain of the linear controller u = k_lin x"),
         *_gain_row("row", "row of the chain form, e_n' Phi A"),
         *[
@@ -219,6 +224,15 @@ INTERFACE = Interface(
         # last, so that a value reference of earlier versions means what it meant
         _input(
             "theta_setpoint", "rad", "where the arm is to be held: law, norm and swing-up act on theta - theta_setpoint"
+        ),
+        *_gain_row("sta_c", "sliding surface s = c x of the super-twisting law, c b = 1", SURFACE_UNITS),
+        *_gain_row("sta_k", "linear part of the super-twisting law"),
+        _tunable(
+            "sta_rate",
+            10.0,
+            "V/s",
+            "L of the super-twisting law: largest rate of a disturbance that it rejects",
+            min=0.0,
         ),
     ),
     step_size=1e-3,

@@ -14,7 +14,7 @@ from plant_fmu.parameters import ParameterSet, QubeParameters, parameter_set
 from ..companion import chain_form
 from ..design import Design
 from ..linear_algebra import dot, solve
-from ..sliding_mode import SlidingMode, fitted_smc
+from ..sliding_mode import SlidingMode, fitted_smc, tuned_sta
 from ..system import PENDULUM
 from .default_design import default_design as default_design  # noqa: PLC0414 - also from here
 from .interface import INTERFACE, ORDER, kalman_gains, matrix, upper_triangle, vector
@@ -61,8 +61,17 @@ def design_values(design: Design, smc: SlidingMode | None = None, voltage_limit:
     check_order(design)
     form = chain_form(design.A, design.b)
     smc = smc or fitted_smc(design.A, design.b)
-    values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho}
-    for name, numbers in (("k_lin", design.k_lin), ("row", form.row), ("smc_c", smc.c), ("smc_k", smc.k_eq)):
+    sta, rate = tuned_sta(design.A, design.b)
+    values: dict[str, Value] = {"mu": design.mu, "smc_rho": smc.rho, "sta_rate": rate}
+    rows = {
+        "k_lin": design.k_lin,
+        "row": form.row,
+        "smc_c": smc.c,
+        "smc_k": smc.k_eq,
+        "sta_c": sta.c,
+        "sta_k": sta.k_eq,
+    }
+    for name, numbers in rows.items():
         values |= zip_names(vector(name), numbers)
     values |= zip_names(matrix("Phi"), form.Phi.ravel())
     values |= zip_names(upper_triangle("P"), design.P[np.triu_indices(ORDER)])

@@ -13,6 +13,7 @@ from typing import Any
 from fmu_export.errors import UserError
 
 from .. import homogeneity, laws
+from ..linear_algebra import dot
 from ..sampled_unit import LEAST, NOT_FINITE, Fault, SampledState, SampledUnit, flushed
 from . import velocity
 from .interface import (
@@ -53,6 +54,7 @@ class ControllerState(SampledState):
     norm_used: float = 1.0  # its value in the law
     disturbance: float = 0.0  # Kalman filter's estimate [V]
     bias: float = 0.0  # Kalman filter's estimate of the bias of the measured delta [rad]
+    integral: float = 0.0  # v of the super-twisting law [V]
     theta_dot: float = 0.0  # velocity that the law uses [rad/s]
     delta_dot: float = 0.0
 
@@ -123,6 +125,9 @@ class IhcControllerUnit(SampledUnit):
         self.smc_c = [values[name] for name in vector("smc_c")]
         self.smc_k = [values[name] for name in vector("smc_k")]
         self.smc_rho: float = values["smc_rho"]
+        self.sta_c = [values[name] for name in vector("sta_c")]
+        self.sta_k = [values[name] for name in vector("sta_k")]
+        self.sta_rate: float = values["sta_rate"]
 
     def _take_kalman_filter(self) -> None:
         values = self.values
@@ -176,6 +181,8 @@ class IhcControllerUnit(SampledUnit):
             chain = laws.block_state(self.design, x)
             state.norm = homogeneity.homogeneous_norm(chain.polynomial, self.mu, state.norm)
         state.theta_dot, state.delta_dot = x[2], x[3]
+        if not (self.law == "STA" and state.mode == earlier == Mode.STABILIZING):
+            state.integral = 0.0
         command = self._command(x, chain)
         if self.compensate and state.mode == Mode.STABILIZING:
             command -= state.disturbance  # 0 without the Kalman filter
@@ -271,10 +278,22 @@ class IhcControllerUnit(SampledUnit):
             return laws.linear(self.design.K, x)[0]
         if self.law == "SMC":
             return laws.sliding_mode(self.smc_c, self.smc_k, self.smc_rho, x)
+        if self.law == "STA":
+            return self._super_twisting(x)
         state.norm_used, state.interval = homogeneity.norm_in_law(
             self.search, chain.polynomial, self.mu, state.norm, state.interval
         )
         return laws.controls(self.design, chain, state.norm_used, self.ahead)[0]
+
+    def _super_twisting(self, x: list[float]) -> float:
+        """Return the command, and advance its integral part but where that would push it farther beyond its limit."""
+        state, implicit = self.state, self.ahead is not None
+        w, moved = laws.super_twisting(dot(self.sta_c, x), state.integral, self.sta_rate, self.sample_time, implicit)
+        command = dot(self.sta_k, x) + w
+        wanted = command - state.disturbance if self.compensate else command
+        if not laws.winds_up(wanted, moved - state.integral, -self.limit, self.limit):
+            state.integral = flushed(moved, LEAST)
+        return command
 
     def fail(self, fault: Fault, cause: str) -> list[str]:
         """Command 0 V from now on; the first cause is kept."""

@@ -28,7 +28,9 @@ def notes(design: Design, estimator: str) -> str:
     return f"""<h2>Law</h2>
 <pre>LC    u = K x,   x = ({states}), u = ({inputs}), deviations from the equilibrium
 IHC   u = K_0 x + r^(1-mu) (K - K_0) d(-ln r) x,   d(s) = exp(s G_d)
-      r = ||x||_d, the root of ||d(-ln r) x||_P = 1, limited to [a_min, b_max]</pre>
+      r = ||x||_d, the root of ||d(-ln r) x||_P = 1, limited to [a_min, b_max]
+STA   u = -S A x - kappa S x - k_1 |s|^(1/2) sign(s) + v,   v' = -k_2 sign(s),   s = S x,   S = (B' P B)^-1 B' P
+      for each input, k_1 = 1.5 sqrt(L), k_2 = 1.1 L, L its sta_rate; v stands still where the command is limited</pre>
 <p>D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems", eqs. (8),
 (10), (11), Algorithm 1 (corrected) and Remark 5, for any order and several inputs. With a_min = b_max = 1 the IHC is the LC.
 With set-points x is the deviation from the states at rest for them. {ESTIMATES[estimator]}</p>{integral}

@@ -21,7 +21,7 @@ from ..sampled_unit import FAULTS
 STATES, INPUTS, OUTPUTS = 16, 8, 16
 """Most states n, inputs m of the plant and measured outputs p of it."""
 
-LAWS = ("LC", "IHC")
+LAWS = ("LC", "IHC", "STA")
 NORM_SOLVERS = ("algorithm1", "exact")
 DISCRETIZATIONS = ("explicit", "semi_implicit")
 ESTIMATORS = ("measured_state", "kalman", "homogeneous_observer")
@@ -96,7 +96,7 @@ _NORM_START = (
 
 INTERFACE = Interface(
     name="HomogeneousController",
-    description="Stabilization of a linear model by a linear or implicit homogeneous law",
+    description="Stabilization of a linear model by a linear, implicit homogeneous or super-twisting law",
     variables=(
         *_inputs("measurement", "measured output"),
         *_inputs("setpoint", "where this output is to be held"),
@@ -112,7 +112,7 @@ INTERFACE = Interface(
         *_outputs("disturbance_estimate", INPUTS, "what the Kalman filter takes for a disturbance of this input"),
         *_outputs("bias_estimate", OUTPUTS, "bias of this output that the Kalman filter found"),
         _output("fault", "why the controller has stopped; latched until reset", FAULTS),
-        _choice("law", "IHC", LAWS, "stabilizing law: linear, implicit homogeneous"),
+        _choice("law", "IHC", LAWS, "stabilizing law: linear, implicit homogeneous, super-twisting"),
         _tunable(
             "a_min",
             0.5,
@@ -178,6 +178,12 @@ INTERFACE = Interface(
         _fixed("observer_degree", 0.0, "nu of the observer; 0 is the linear one", min=-1.0, max=0.0),
         _fixed("q_min", 1.0, "smallest output error in its gain", min=1e-12, max=1e12),
         _fixed("q_max", 1.0, "largest output error in its gain", min=1e-12, max=1e12),
+        *_entries("S", INPUTS * STATES, "(m, n): sliding surfaces s = S x of the super-twisting law"),
+        *_entries("Ks", INPUTS * STATES, "(m, n): linear part of the super-twisting law"),
+        *[
+            _tunable(entry, 0.0, "L of the super-twisting law: largest rate of a disturbance that it rejects", min=0.0)
+            for entry in numbered("sta_rate", INPUTS)
+        ],
     ),
     step_size=1e-3,
     stop_time=1.0,
@@ -234,6 +240,7 @@ def shown_interface(shape: Shape) -> Interface:
         *[v for v in shared if not v.calculated],
         *_named(shape.inputs, "lower", "{}_lower", "smallest {} that is commanded"),
         *_named(shape.inputs, "upper", "{}_upper", "largest {} that is commanded"),
+        *_rates(shape),
         *_gain(shape),
         *_ball(shape),
         *_named(shape.outputs, "output_equilibrium", "{}_equilibrium", "{} at the equilibrium of the model"),
@@ -289,6 +296,15 @@ def _gain(shape: Shape) -> list[Variable]:
         )
         for i, (u, u_unit) in enumerate(shape.inputs)
         for j, (x, x_unit) in enumerate(shape.states)
+    ]
+
+
+def _rates(shape: Shape) -> list[Variable]:
+    return [
+        INTERFACE.by_name[f"sta_rate_{i}"].shown_as(
+            f"{u}_sta_rate", f"L of the super-twisting law: largest rate of what disturbs {u}", quotient(unit, "s")
+        )
+        for i, (u, unit) in enumerate(shape.inputs, 1)
     ]
 
 

@@ -13,6 +13,7 @@ from fmu_export.variables import Interface, Value
 
 from ..block_form import combination, scaling
 from ..design import Design
+from ..sliding_mode import certified_surface
 from .interface import ESTIMATORS, UNLIMITED, Shape, numbered, shown_interface
 
 Array = np.ndarray
@@ -136,6 +137,8 @@ class Regulator:
         arrays |= {"lower": _bounded(self.lower), "upper": _bounded(self.upper)}
         arrays |= {"output_equilibrium": self.y_eq, "input_equilibrium": self.u_eq, "state_equilibrium": self.x_eq}
         arrays |= {"setpoint": self.y_eq}
+        surface = certified_surface(*self._model(), self.K, self.P)
+        arrays |= {"S": surface.S, "Ks": surface.K_s, "sta_rate": surface.rates}
         f = self.filter
         if f is not None:
             arrays |= {"C": f.C, "first": np.linalg.pinv(f.C)}
@@ -151,6 +154,11 @@ class Regulator:
             flat = np.asarray(entries, dtype=float).ravel()
             values |= {entry: float(number) for entry, number in zip(numbered(name, flat.size), flat, strict=True)}
         return values
+
+    def _model(self) -> tuple[Array, Array]:
+        """Return A (n, n) and B (n, m) of the model, from its block form."""
+        B = np.linalg.solve(self.T, self.B)
+        return np.linalg.solve(self.T, self.N @ self.T) - B @ self.K_0, B
 
     def exported(self) -> tuple[Interface, dict[str, Value]]:
         """Return what the FMU shows, with the design's start values, and the start values of the rest by compiled names."""

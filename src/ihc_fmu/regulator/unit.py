@@ -8,7 +8,8 @@ At each sample, with deviations x, y, u from the equilibrium of the model and th
 
 with d the estimated disturbances and v the integral action (HPIC), v' = q r_d^(1-2 mu) K_i d(-ln r_d) e. With the r_d
 in the law within its limits q = 1/(y' P G_d y), y = d(-ln r_d) e; elsewhere, and with the LC, the law is linear and q = 1.
-v stands still where its input is beyond a limit and v would move farther beyond.
+v stands still where its input is beyond a limit and v would move farther beyond. Under the super-twisting law v is its own,
+u_i = (K_s e)_i - k_1 |s_i|^(1/2) sign(s_i) + v_i with s = S e, and there is no other.
 
 Standard library only: this module travels inside the Python FMU.
 """
@@ -119,6 +120,8 @@ class HomogeneousControllerUnit(SampledUnit):
         design = laws.block_design(
             e, T, self._matrix("N", n, n), self._matrix("B", n, m), K, self._matrix("K0", m, n), P, self.mu
         )
+        self.S, self.Ks = self._matrix("S", m, n), self._matrix("Ks", m, n)
+        self.sta_rates = self._vector("sta_rate", m)
         self.Kiz = transpose(solve(transpose(T), transpose(Ki), "T"))
         if not laws.is_finite(design) or not all(math.isfinite(entry) for row in self.Kiz for entry in row):
             raise UserError("P and the gains must be of moderate size, found block coordinates that are not finite")
@@ -270,12 +273,18 @@ class HomogeneousControllerUnit(SampledUnit):
         if mode == Mode.STABILIZING and state.mode != Mode.STABILIZING:
             state.interval = (self.search.a_min, self.search.b_max)
             state.v = (0.0,) * self.m
+        if not self.integrates and self.law != "STA":
+            state.v = (0.0,) * self.m
         state.mode = mode
 
     def _command(self, error: Vector, block: laws.BlockState, r: Vector) -> list[str]:
         state = self.state
+        added = moved = state.v
         if self.law == "LC":
             u = laws.linear(self.design.K, error)
+        elif self.law == "STA":
+            u, moved = self._super_twisting(error)
+            added = (0.0,) * self.m
         else:
             state.norm_used, state.interval = homogeneity.norm_in_law(
                 self.search, block.polynomial, self.mu, state.norm, state.interval
@@ -285,30 +294,45 @@ class HomogeneousControllerUnit(SampledUnit):
             u = [u_i + dot(row, r) for u_i, row in zip(u, self.Nu, strict=True)]
         if self.compensate:
             u = [u_i - d_i for u_i, d_i in zip(u, state.d, strict=True)]
-        wanted = [u_i + v_i + at_rest for u_i, v_i, at_rest in zip(u, state.v, self.u_eq, strict=True)]
+        wanted = [u_i + v_i + at_rest for u_i, v_i, at_rest in zip(u, added, self.u_eq, strict=True)]
         if not all(map(math.isfinite, wanted)):
             return self.fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
         state.commands = tuple(map(clamp, wanted, self.lower, self.upper))
+        if self.law == "STA":
+            return self._integrated(moved, wanted)
         return self._integrate(block, wanted) if self.integrates else []
 
+    def _super_twisting(self, error: Vector) -> tuple[list[float], list[float]]:
+        """Return the inputs and the next v."""
+        implicit, v = self.ahead is not None, self.state.v
+        surfaces = laws.linear(self.S, error)
+        found = [
+            laws.super_twisting(s, v_i, rate, self.sample_time, implicit)
+            for s, v_i, rate in zip(surfaces, v, self.sta_rates, strict=True)
+        ]
+        u = [u_i + w for u_i, (w, _) in zip(laws.linear(self.Ks, error), found, strict=True)]
+        return u, [moved for _, moved in found]
+
     def _integrate(self, block: laws.BlockState, wanted: Vector) -> list[str]:
-        """Advance the integral action, but for entries that would push a command farther beyond its limit."""
         state = self.state
         r = state.norm_used
         free = self.law != "LC" and self.search.a_min < r < self.search.b_max
         rates = laws.integrand(self.design, self.Kiz, r, block, free)
+        return self._integrated(
+            [v_i + self.sample_time * rate for v_i, rate in zip(state.v, rates, strict=True)], wanted
+        )
+
+    def _integrated(self, moved: Vector, wanted: Vector) -> list[str]:
+        """Take the next v, but for entries that would push a command farther beyond its limit."""
+        state = self.state
         v = [
-            v_i if _winds_up(u, rate, low, high) else flushed(v_i + self.sample_time * rate, LEAST)
-            for v_i, rate, u, low, high in zip(state.v, rates, wanted, self.lower, self.upper, strict=True)
+            v_i if laws.winds_up(u, next_v - v_i, low, high) else flushed(next_v, LEAST)
+            for v_i, next_v, u, low, high in zip(state.v, moved, wanted, self.lower, self.upper, strict=True)
         ]
         if not all(map(math.isfinite, v)):
             return self.fail(Fault.NON_FINITE_CONTROL, NOT_FINITE)
         state.v = tuple(v)
         return []
-
-
-def _winds_up(u: float, rate: float, low: float, high: float) -> bool:
-    return (u > high and rate > 0.0) or (u < low and rate < 0.0)
 
 
 def _padded(values: Vector, count: int) -> tuple[float, ...]:

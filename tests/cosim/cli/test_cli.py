@@ -29,7 +29,19 @@ from tests.cosim.browser import Page, check_alone
 from tests.cosim.command import ended, files, finished, sentence, started
 
 OPTIONS = {
-    "design": ["--system", "--method", "--mu", "--alpha", "--u-max", "--delta-max", "--beta", "--psi", "--d-max", "-o"],
+    "design": [
+        "--system",
+        "--method",
+        "--mu",
+        "--alpha",
+        "--u-max",
+        "--delta-max",
+        "--beta",
+        "--psi",
+        "--d-max",
+        "--residual",
+        "-o",
+    ],
     "export": ["--design", "--parameters", "--nominal", "--smc", "--output", "-o", "--set"],
     "run": ["--output", "-o", "--fmus", "--set", "--plot", "--no-plot", "--report", "--report-file"],
     "compare": ["--laws", "--draws", "--workers", "--output", "-o", "--fmus", "--set", "--report", "--report-file"],
@@ -108,7 +120,11 @@ def test_a_system_with_the_pendulums_name_that_is_none_is_told_that_the_name_is_
 
 
 def test_design_export_run_compare(tmp_path):
-    said = accepted("design", "--mu", "0.5", "--alpha", "0.3", "--u-max", "3", "-o", "my design.json", cwd=tmp_path)
+    wanted = ("--mu", "0.5", "--alpha", "0.3", "--u-max", "3", "--residual", "0.8")
+    said = accepted("design", *wanted, "-o", "my design.json", cwd=tmp_path)
+    assert re.search(
+        r"what counting leaves with a_min = 0.8\s.*theta_dot \[rad/s\].*the bound is proven: ", said, re.DOTALL
+    )
     assert re.search(r"largest feasible alpha for this gain and mu: 0\.43\d* 1/s", said)
     design = Design.load(tmp_path / "my design.json")
     assert (design.mu, design.alpha, design.u_max[0]) == (0.5, 0.3, pytest.approx(3.0, rel=1e-4))
@@ -244,6 +260,7 @@ def test_a_scenario_file_with_its_own_design_and_another_folder_of_fmus(elsewher
         (("export", "--set", "a_min=1"), "--set must name plant.VARIABLE or controller.VARIABLE, found 'a_min'"),
         (("export", "--set", "plant.delta_0=inf"), "delta_0 must be finite, found inf"),
         (("design", "--system", "nowhere.toml"), "system file nowhere.toml does not exist"),
+        (("design", "--residual", "0"), "a_min must lie in [1e-06, 1e+12], found 0"),
         (("design", "--mu", "nan"), "mu must lie in (0, 1], found nan"),
         (("design", "--alpha", "-1"), "alpha must be positive and finite [1/s], found -1.0"),
     ],

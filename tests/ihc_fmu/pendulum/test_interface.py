@@ -63,12 +63,14 @@ def test_units_are_those_of_the_equations():
         if i <= j:
             assert times(unit[f"P_{i + 1}{j + 1}"], x[i], x[j]) == {}
     for j in range(4):
-        for row in ("k_lin", "row", "smc_k"):
+        for row in ("k_lin", "row", "smc_k", "sta_k"):
             assert times(unit[f"{row}_{j + 1}"], x[j]) == base_units("V")
-        assert times(unit[f"smc_c_{j + 1}"], x[j], "1/s") == base_units("V")
+        for surface in ("smc_c", "sta_c"):
+            assert times(unit[f"{surface}_{j + 1}"], x[j], "1/s") == base_units("V")
     assert times(unit["swing_up_energy_gain"], "J") == base_units(unit["swing_up_acceleration_limit"])
     assert times(unit["swing_up_arm_stiffness"], "rad") == base_units(unit["swing_up_acceleration_limit"])
     assert times(unit["swing_up_arm_damping"], "rad/s") == base_units(unit["swing_up_acceleration_limit"])
+    assert times(unit["sta_rate"], "s") == base_units("V")
     assert unit["smc_rho"] == unit["disturbance_estimate"] == "V"
     corrected = ("rad", "rad", "rad/s", "rad/s", "V", "rad")
     for name in kalman_gains():
@@ -94,7 +96,7 @@ def test_what_the_estimators_are_built_from_is_fixed_and_what_an_operator_tunes_
         ({"a_min": 0.0}, r"a_min must lie in \[1e-06, 1e\+12\], found 0.0"),
         ({"mu": 1.5}, r"mu must lie in \[0, 1\], found 1.5"),
         ({"law": "PID"}, f"law must be one of {', '.join(LAWS)}, found 'PID'"),
-        ({"law": 4}, r"law must lie in \[1, 3\], found 4"),
+        ({"law": 5}, r"law must lie in \[1, 4\], found 5"),
         ({"j_max": 2.5}, "j_max must be an integer of 32 bits, found 2.5"),
         ({"sample_time": 0.0}, "sample_time must lie in .* s, found 0.0"),
         ({"k_lin_1": float("nan")}, "k_lin_1 must be finite, found nan"),

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ihc_fmu import homogeneity, laws
-from ihc_fmu.pendulum.interface import INTERFACE
+from ihc_fmu.pendulum.interface import INTERFACE, LAWS
 from ihc_fmu.pendulum.supervisor import Mode
 from ihc_fmu.sampled_unit import Fault
-from ihc_fmu.sliding_mode import fitted_smc
+from ihc_fmu.sliding_mode import fitted_smc, tuned_sta
 from tests.ihc_fmu.conftest import chain_of
 
 INPUTS = [v.name for v in INTERFACE.of("input")]
@@ -80,9 +80,18 @@ def test_commands_are_those_of_the_laws_for_the_measured_state(controller, desig
     assert 0.1 < exact < 2.0
     assert abs(estimate / exact - 1) > 1e-3
     smc: Any = fitted_smc(design.A, design.b)
+    sta: Any = tuned_sta(design.A, design.b)[0]
     cases = [
         ({"law": "LC"}, design.k_lin @ x, 1.0),
         ({"law": "SMC"}, laws.sliding_mode(smc.c, smc.k_eq, smc.rho, x), 1.0),
+        *(
+            (
+                {"law": "STA", "discretization": discretization, "sta_rate": 7.0},
+                sta.k_eq @ x + laws.super_twisting(sta.c @ x, 0.0, 7.0, 1e-3, discretization == "semi_implicit")[0],
+                1.0,
+            )
+            for discretization in ("explicit", "semi_implicit")
+        ),
         ({}, laws.implicit_homogeneous(law, estimate, x, z)[0], estimate),
         (
             {"norm_solver": "exact"},
@@ -308,10 +317,24 @@ def test_law_sees_the_manufacturers_filter(controller):
     np.testing.assert_allclose(estimates, expected, atol=1e-12)
 
 
+def test_integral_of_super_twisting_begins_at_0_when_the_law_takes_over_and_stands_still_at_the_limit(controller):
+    unit = started(controller(**STATE_INPUT, law="STA", sta_rate=100.0, voltage_limit=1.0), (0.0, 0.1, 0.0, 0.0))
+    for k in range(20):
+        unit.step(k * 1e-3, 1e-3, given((0.0, 0.1, 0.0, 0.0)))
+        assert (outputs(unit)["voltage"], unit.state.integral) == (-1.0, 0.0)
+    for k in range(20, 40):
+        unit.step(k * 1e-3, 1e-3, given((1e-4, 0.0, 0.0, 0.0)))
+    assert unit.state.integral > 0.1  # s < 0, and the command is not beyond its upper limit
+    unit.step(40e-3, 1e-3, given((0.0, 2.0, 0.0, 0.0)))
+    assert (outputs(unit)["mode"], unit.state.integral) == (Mode.SWING_UP, 0.0)
+    unit.step(41e-3, 1e-3, given((0.0, 0.0, 0.0, 0.0)))
+    assert (outputs(unit)["mode"], unit.state.integral) == (Mode.STABILIZING, 0.0)
+
+
 # The arm's set-point
 
 
-@pytest.mark.parametrize("law", ["LC", "SMC", "IHC"])
+@pytest.mark.parametrize("law", LAWS)
 def test_only_the_deviation_from_the_set_point_counts(controller, law):
     """In numbers whose difference is exact, swing-up and capture included, to the last bit."""
     seen = swinging(duration=1.0)
@@ -341,7 +364,9 @@ def test_set_point_of_zero_of_either_sign_or_next_to_it_is_none(controller, sour
     assert len(set(runs)) == 1
 
 
-@pytest.mark.parametrize("changes", [{"law": "LC"}, {"law": "SMC"}, {}, {"velocity_source": "kalman"}], ids=str)
+@pytest.mark.parametrize(
+    "changes", [{"law": "LC"}, {"law": "SMC"}, {"law": "STA"}, {}, {"velocity_source": "kalman"}], ids=str
+)
 def test_step_of_the_set_point_is_reached_by_balancing_and_after_a_swing_up(controller, closed_loop, changes):
     """From rest upright with a step after 1 s; from hanging with a set-point from the beginning on."""
     balanced = closed_loop(controller(**changes), 6.0, changes={"delta_0": 0.0}, set_point=lambda t: 0.3 * (t >= 1.0))
@@ -401,7 +426,7 @@ def test_command_that_overflows_is_a_fault_of_the_control(controller):
 # State
 
 
-@pytest.mark.parametrize("law", ["LC", "SMC", "IHC"])
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("at", [0, 300, 2000])
 def test_state_through_json_continues_to_the_last_bit(controller, recorded, law, at):
     unit = started(controller(law=law), recorded[0])

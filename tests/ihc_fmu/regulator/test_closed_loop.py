@@ -156,3 +156,19 @@ def test_outputs_alone_need_an_estimator():
     system = System(**ARM, C=np.eye(2, 4)).with_lqr(np.ones(4), np.ones(2))
     with pytest.raises(UserError, match="arm does not measure its states, so that its controller needs an estimator"):
         design_regulator(inverse_design(system, Options(mu=1.0, alpha=ALPHA["arm"], u_max=3.0)))
+
+
+@pytest.mark.parametrize("entries", [CART, ARM], ids=["cart", "arm"])
+def test_super_twisting_takes_a_constant_disturbance_of_the_inputs_away(entries):
+    """Without an estimate of it: the state comes to rest at 0, the command at the disturbance's opposite."""
+    regulator = regulator_of(entries)
+    disturbance = np.array([0.3, -0.2])[: entries["B"].shape[1]]
+    loop = Loop(entries, regulator, law="STA")
+    x = loop.run(np.array([0.02, -0.01, 0.0, 0.0]), 30.0, disturbance=disturbance)
+    assert np.abs(x).max() < 1e-5
+    np.testing.assert_allclose(loop.unit.state.v, -disturbance, atol=1e-4)
+    for law in ("LC", "STA"):  # the integral is that law's alone
+        loop.unit = HomogeneousControllerUnit(INTERFACE.start_values({**regulator.values(), "law": law}))
+        loop.k = 0
+        loop.run(np.full(4, 1e-3), 2 * H, disturbance=disturbance)
+        assert bool(np.any(loop.unit.state.v)) is (law == "STA")

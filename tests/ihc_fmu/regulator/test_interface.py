@@ -58,7 +58,7 @@ def test_parameters_are_choices_limits_gains_and_the_equilibrium():
     tunable = {v.name for v in shown_interface(CRANE).variables if v.variability == "tunable"}
     assert tunable == {
         *("law", "a_min", "b_max", "j_max", "norm_solver", "discretization", "enabled", "compensate_disturbance"),
-        *("force_lower", "torque_lower", "force_upper", "torque_upper"),
+        *("force_lower", "torque_lower", "force_upper", "torque_upper", "force_sta_rate", "torque_sta_rate"),
     }
 
 
@@ -76,6 +76,7 @@ def test_units_are_those_of_the_quantities():
     assert units["torque_disturbance_estimate"] == units["torque_upper"] == "N.m"
     assert units["K_1_2"] == "N.s/m"
     assert units["K_2_3"] == "N.m/rad"
+    assert units["torque_sta_rate"] == "N.m/s"
     assert units["P_2_4"] == "s.s/(m.rad)"
 
 

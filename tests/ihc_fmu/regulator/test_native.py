@@ -15,7 +15,7 @@ from ihc_fmu.sampled_unit import Fault
 from tests.fmu_export.conftest import Host
 from tests.ihc_fmu.regulator.conftest import H, by_name, random_regulator, row
 
-LC, IHC = 1, 2
+LC, IHC, STA = 1, 2, 3
 SIZES = [(n, 1 + (5 * n) % 8) for n in range(1, 17)] + [(4, 1), (6, 1), (6, 2), (16, 8), (8, 8), (2, 8)]
 KINDS = [
     {},
@@ -40,10 +40,11 @@ def test_every_size_and_kind_is_the_same(n, m, both):
     for i, kind in enumerate(KINDS):
         mu = (1.0, 0.5, 0.3, 0.0)[(n + i) % 4]
         regulator = random_regulator(n, m, **kind, mu=mu, seed=i)
-        pair = both({**regulator.values(), "a_min": 0.2, "b_max": 5.0})
+        rates = {f"sta_rate_{j + 1}": 10.0 ** (j - 3) for j in range(m)}
+        pair = both({**regulator.values(), **rates, "a_min": 0.2, "b_max": 5.0})
         rows = measured(regulator, 48)
         modes, commands = set(), set()
-        for law, solver, discretization in itertools.product((LC, IHC), (1, 2), (1, 2)):
+        for law, solver, discretization in itertools.product((LC, IHC, STA), (1, 2), (1, 2)):
             pair.tune(law=law, norm_solver=solver, discretization=discretization)
             for inputs in itertools.islice(rows, 6):
                 outputs = pair.step(inputs)
@@ -61,12 +62,13 @@ def test_tuning_between_steps_is_the_same(both):
         if k % 5 == 2:
             a_min = 10 ** rng.uniform(-2, 0)
             everything = {
-                "law": rng.randint(1, 2),
+                "law": rng.randint(1, 3),
                 "norm_solver": rng.randint(1, 2),
                 "discretization": rng.randint(1, 2),
                 "j_max": rng.randint(1, 60),
                 "enabled": rng.random() < 0.8,
                 "compensate_disturbance": rng.random() < 0.5,
+                "sta_rate_2": 10 ** rng.uniform(-3, 3),
                 "lower_2": -rng.uniform(0, 5),
                 "upper_2": rng.uniform(0, 5),
             }
