@@ -131,7 +131,7 @@ def in_many(scenario: Scenario, place: Path, fmus: Path, runs: int, rounds: int,
 
         from cosim.studies.cluster import Cluster  # noqa: PLC0415
 
-        local = LocalCluster(n_workers=cores, threads_per_worker=1, dashboard_address=None)
+        local = LocalCluster(n_workers=cores, threads_per_worker=1, dashboard_address=":0")
         connected = Cluster(local.scheduler_address)
         cases[f"{cores} Dask workers"] = partial(judge_all, jobs, fmus, numbers, connected)
     wall: dict[str, list[float]] = {name: [] for name in cases}

@@ -131,7 +131,7 @@ def compare(
     scenario, changes, fmus
         As in `run`.
     laws
-        Values of the controller's `law`; None: those of this project (LC, SMC, IHC) that it has.
+        Values of the controller's `law`; None: those of LC, SMC and IHC that it has.
     draws
         Draws of the plant's offsets and noise, best a power of two; 0: the scenario as it stands, once. A plant that has
         neither is run once.

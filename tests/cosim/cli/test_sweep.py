@@ -28,7 +28,7 @@ def test_tables_remarks_and_files_and_again_to_the_byte(elsewhere):
 
 
 def test_ctrl_c_keeps_the_finished_runs_and_writes_nothing_else(elsewhere):
-    command = ("sweep", "tilt", "--vary", "plant.m_p=±10%", "--draws", 4, "--set", "run.duration=40", *SHORT[2:])
+    command = ("sweep", "tilt", "--vary", "plant.m_p=±10%", "--draws", 4, "--set", "run.duration=1000", *SHORT[2:])
     journal = elsewhere / "results" / "sweep_tilt" / "runs.sqlite"
     process = started(*command, cwd=elsewhere)
     while len(journal_rows(journal)) < 2 and process.poll() is None:
