@@ -141,7 +141,8 @@ def test_an_interrupted_sweep_continues_and_a_changed_scenario_takes_nothing_of_
         with pytest.raises(KeyboardInterrupt):
             run_sweep(plan(), journal, 1, interrupt)
         run_sweep(plan(draws=6), journal, 1, lambda *counts: seen.append(counts))
-        assert (seen[0], seen[-1]) == ((5, 12), (12, 12))
+        assert 5 <= seen[0][0] <= 8  # what was under way is kept too
+        assert seen[-1] == (12, 12)
         assert len(journal_rows(file)) == 12
         run_sweep(plan(changes={"plant.start.delta_0": 0.11}), journal, 1)
         assert len(journal_rows(file)) == 12 + 8
