@@ -98,7 +98,11 @@ def test_lists_alone_make_a_grid_with_the_same_offsets_at_each_point(plan):
         ({}, {}, None),
         ({"plant.m_p": "±5%", "plant.start.m_p": "±5%"}, {}, "--vary names plant.start.m_p twice"),
         ({"plant.m_p": "±5%"}, {"sampling": "grid"}, "a grid takes lists of values only, and plant.m_p is drawn"),
-        ({"plant.m_p": "±5%"}, {"laws": ["LC", "XX"]}, "--laws must be different ones of LC, SMC, IHC, STA, found LC, XX"),
+        (
+            {"plant.m_p": "±5%"},
+            {"laws": ["LC", "XX"]},
+            "--laws must be different ones of LC, SMC, IHC, STA, found LC, XX",
+        ),
         ({"plant.m_p": "±5%"}, {"laws": []}, "--laws must be different ones of LC, SMC, IHC, STA, found none"),
         ({"plant.m_p": "±5%"}, {"draws": 0}, "--draws must be a whole number from 1 on, found 0"),
         ({"plant.m_p": "±5%"}, {"draws": 10**13}, "a sweep of 10000000000000 draws needs"),
