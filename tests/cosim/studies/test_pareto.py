@@ -319,9 +319,11 @@ def test_the_linear_controller_is_tuned_as_freely_and_judged_beside(found, tilt,
     own = front.of(RETUNED)
     assert own
     assert all(set(p.values) == {"k_lin_1", "k_lin_2", "k_lin_3", "k_lin_4"} for p in own)
-    assert {p.setting.changes["controller.start.law"] for p in own} == {"LC"}
+    assert {p.setting.changes["controller.start.law"] for p in own if p.setting is not None} == {"LC"}
     assert not any(searching._better(a, b) for a in own for b in own)
-    assert front.of(FRONT) == found[0].of(FRONT)
+    assert [p.held_out for p in front.of(FRONT)] == [p.held_out for p in found[0].of(FRONT)]
+    assert front.retuned is not None
+    assert front.chosen is not None
     best, over = front.retuned
     assert best.held_out[1].value <= 2.0 * front.linear.held_out[1].value
     assert over[0].value == pytest.approx(front.chosen.held_out[0].value / best.held_out[0].value - 1.0)
@@ -369,7 +371,7 @@ def test_the_command_prints_and_writes_the_front_and_says_when_none_keeps_the_li
     [
         (
             ("--limit", "energy=1"),
-            "--over, --gain, --limit, --population, --generations, --held-out and --seed are for",
+            "--over, --gain, --linear, --limit, --population, --generations, --held-out and --seed are for",
         ),
         (("--pareto", "settling,energy", "--measure", "energy"), "--measure and --most-chattering are for the rule"),
         (("--pareto", "settling,elegance"), "an objective must be one of integral, rms, settling, energy, variation"),
