@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from filing.files import staging, write_file
 from fmu_export.files import FilePath
@@ -110,7 +111,12 @@ def _panel(axis: Any, front: Front, i: int, j: int) -> None:
     shown = [p for p in front.points if p.kind != LOST]
     for k, scale, label in ((i, axis.set_xscale, axis.set_xlabel), (j, axis.set_yscale, axis.set_ylabel)):
         label(literal(q[k].heading))
-        scale("log" if _wide(shown, k) else "linear")
+        if _wide(shown, k):
+            scale("log")
+            ruler = axis.xaxis if k == i else axis.yaxis
+            ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ruler.set_major_formatter(StrMethodFormatter("{x:g}"))
+            ruler.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3, which="both")
 
 
