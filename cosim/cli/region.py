@@ -11,7 +11,7 @@ from filing.ownership import check_replaceable
 
 from ..errors import UserError
 from .display import console, escaped, say_notes, show_table, staged_progress
-from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
+from .options import SCENARIO_HELP, ClusterOption, FmusOption, SetOption, WorkersOption, assignments, workers_at
 
 if TYPE_CHECKING:
     from ..studies.ranges import Range
@@ -57,7 +57,8 @@ def region(
             "first sample on.",
         ),
     ] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Threads; none: one per core.")] = None,
+    workers: WorkersOption = None,
+    cluster: ClusterOption = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write to; none: `results/region_NAME`.")
     ] = None,
@@ -85,8 +86,12 @@ def region(
     target = output or Path("results") / f"region_{loaded_scenario.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
     say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
-    with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
-        found = find_region(problem, journal, workers, report)
+    with (
+        workers_at(workers, cluster) as where,
+        Journal(target / "runs.sqlite", PURPOSE) as journal,
+        staged_progress() as report,
+    ):
+        found = find_region(problem, journal, where, report)
     paths = save(found, target)
     show_table(*found.table())
     for remark in found.remarks():

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import hashlib
+import logging
 import os
 import shutil
 import statistics
@@ -138,6 +139,15 @@ class _Portion(Generic[T]):
     again: bool = False
 
 
+def _checked_address(address: str) -> str:
+    """Return the address with its protocol; raise UserError for a text that is none."""
+    protocol, separator, rest = address.rpartition("://")
+    host, colon, port = rest.rpartition(":")
+    if (separator and protocol not in ("tcp", "tls", "ws", "wss", "ucx")) or not (host and colon and port.isdigit()):
+        raise UserError(f"--cluster takes the address of a scheduler, such as tcp://10.0.0.5:8786, found {address!r}")
+    return f"{protocol or 'tcp'}://{rest}"
+
+
 class Cluster:
     """A cluster's scheduler, at an address such as `tcp://10.0.0.5:8786`."""
 
@@ -147,9 +157,11 @@ class Cluster:
             from distributed import Client  # noqa: PLC0415 - optional, and heavy
         except ImportError:
             raise UserError('--cluster needs Dask, which is not installed: pip install "qube-ihc[cluster]"') from None
-        self.address = address
+        self.address = _checked_address(address)
+        for name in ("distributed.client", "distributed.comm", "distributed.core", "tornado.application"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what is to be said is said here
         try:
-            self.client: Client = Client(address, timeout=ANSWER, set_as_default=False)
+            self.client: Client = Client(self.address, timeout=ANSWER, set_as_default=False)
         except (OSError, TimeoutError, ValueError) as error:
             raise UserError(
                 f"no Dask scheduler answers at {address!r} within {ANSWER:g} s: {str(error).splitlines()[0][:200]}"

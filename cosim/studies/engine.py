@@ -142,27 +142,30 @@ def run_numbers(
     known = journal.found(digests.values())
     results: dict[K, Numbers] = {job.key: known[digests[job.key]] for job in jobs if digests[job.key] in known}
     keeper = _Keeper(journal)
+    twins: dict[str, list[Job[K]]] = {}
+    for job in jobs:  # those that come to the same run, which is made once
+        twins.setdefault(digests[job.key], []).append(job)
 
     def report() -> None:
         if progress is not None:
             progress(len(results), len(jobs))
 
     def ended(job: Job[K], values: Numbers) -> None:
-        results[job.key] = dict(values)
-        if digests[job.key] not in known:
-            keeper.keep(digests[job.key], values)
+        for twin in twins[digests[job.key]]:
+            results[twin.key] = dict(values)
+        keeper.keep(digests[job.key], values)
         report()
 
     report()
     for claims in (True, False):  # what others have begun may never end
-        todo = [job for job in jobs if job.key not in results]
+        todo = [some[0] for some in twins.values() if some[0].key not in results]
         queue = _Lease(todo, digests, journal, claims=claims)
         try:
             _judge(queue, place, evaluate, no_numbers, workers, ended)
         finally:
             keeper.flush()
         for job, values in queue.elsewhere:
-            results[job.key] = values
+            results |= {twin.key: values for twin in twins[digests[job.key]]}
             report()
     return {job.key: results[job.key] for job in jobs}
 

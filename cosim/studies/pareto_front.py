@@ -88,11 +88,19 @@ def limits_of(texts: Sequence[str], objectives: Sequence[MetricMeaning]) -> dict
             value = float(factor)
         except ValueError:
             raise UserError(f"--limit takes NAME=FACTOR, found {text!r}") from None
-        q = metric(name.strip(), {q.name: q for q in objectives})
+        q = _limited(name.strip(), objectives)
         if q.name in limits:
             raise UserError(f"--limit names {name.strip()} twice")
         limits[q.name] = value
     return limits
+
+
+def _limited(name: str, objectives: Sequence[MetricMeaning]) -> MetricMeaning:
+    try:
+        return metric(name, {q.name: q for q in objectives})
+    except UserError:
+        names = ", ".join(q.name for q in objectives)
+        raise UserError(f"--limit {name} is none of the objectives of --pareto: {names}") from None
 
 
 @dataclass(frozen=True)
@@ -170,8 +178,8 @@ class Front:
         if self.gains:
             return f"the LC gains: with {within} the chosen point has over the LC {changes}, {drawn}"
         return (
-            f"the LC does not gain: with {within} no point is decidedly better in {first.symbol}; the best found has over "
-            f"the LC {changes}, {drawn}"
+            f"no gain in {first.symbol} was found: with {within} no point is decidedly better; the best found has over the "
+            f"LC {changes}, {drawn}"
         )
 
     def over_retuned(self) -> str:

@@ -27,7 +27,7 @@ from ..scenario_system import build_system, controller_values, evaluation, plant
 from ..unit_definitions import unit_of
 from .certified_section import certified
 from .draws import Chance, chance_of, draw_changes
-from .engine import run_numbers
+from .engine import Workers, run_numbers
 from .entries import entry_of, variable_of
 from .experiments import LAW, check_outputs, known_laws
 from .jobs import Job
@@ -178,7 +178,7 @@ def _value(entry: str, scenario: Scenario, fmus: FilePath, folder: FilePath | No
 def region(
     problem: RegionProblem,
     journal: Journal,
-    workers: int | None = None,
+    workers: Workers = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Region:
     """Find each law's region; finished runs come from and go to `journal`.

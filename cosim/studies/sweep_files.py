@@ -134,7 +134,8 @@ def _write_scenario(plan: SweepPlan, law: str, draw: int, place: Path, name: str
     scenario, beside = portable(plan.scenario.changed(plan.changes(draw, law)), plan.fmus, plan.folder)
     for file, path in beside.items():
         content = path.read_bytes()
-        if (place / file).is_file() and (place / file).read_bytes() != content:
+        if not (place / file).is_file():
+            write_file(place / file, content)
+        elif (place / file).read_bytes() != content:
             raise UserError(f"files that a sweep varies must have different names, found two named {file}")
-        write_file(place / file, content)
     write_file(place / name, scenario.to_toml())

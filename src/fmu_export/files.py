@@ -6,6 +6,7 @@ is there must stay.
 
 from __future__ import annotations
 
+import filecmp
 import os
 import secrets
 import shutil
@@ -92,6 +93,7 @@ def staging(folder: Path, check: Check, last: str | None = None) -> Iterator[Pat
         with _named(folder):
             for name in names:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        names = [name for name in names if not _same(folder / name, place / name)]
         for name in names:
             check(folder / name, (place / name).read_bytes() if name.suffix == ".json" else None)
         with uninterrupted(), _alone_in(folder):
@@ -135,6 +137,11 @@ def uninterrupted() -> Iterator[None]:
         signal.signal(signal.SIGINT, earlier)
     if received:
         signal.raise_signal(signal.SIGINT)
+
+
+def _same(path: Path, other: Path) -> bool:
+    """Return whether a file has the content of another, so that nothing would be replaced."""
+    return path.is_file() and filecmp.cmp(path, other, shallow=False)
 
 
 @contextmanager

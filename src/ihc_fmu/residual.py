@@ -148,6 +148,10 @@ def residual_set(design: Design, a_min: float = 0.5, *, semi_implicit: bool = Tr
     controller = filtered(estimator, K) if isinstance(estimator, LinearFilter) else direct(K)
     F, G = held(system.A, system.B, h)
     sensors = Sensors(np.asarray(system.resolutions), np.asarray(system.deviations))
+    if not (sensors.resolutions.any() or sensors.deviations.any()):
+        raise UserError(
+            "the residual set is what counting and noise leave, and no output has a resolution or a deviation"
+        )
     return residual_of(F, G, np.asarray(system.C), controller, sensors, ball(design, a_min), system.room)
 
 

@@ -163,8 +163,10 @@ def test_a_killed_worker_and_a_killed_scheduler_lose_nothing(jobs, fmus, tmp_pat
 
 def test_nobody_at_an_address_is_said_in_a_sentence(monkeypatch):
     monkeypatch.setattr("cosim.studies.cluster.ANSWER", 1.0)
-    for address in ("tcp://127.0.0.1:1", "nonsense://x", "127.0.0.1"):
-        with pytest.raises(UserError, match=f"no Dask scheduler answers at '{address}'"):
+    with pytest.raises(UserError, match=r"no Dask scheduler answers at 'tcp://127\.0\.0\.1:1'"):
+        Cluster("tcp://127.0.0.1:1")
+    for address in ("nonsense://x:1", "127.0.0.1", "", "foo", "tcp://127.0.0.1:no", "http://127.0.0.1:8786"):
+        with pytest.raises(UserError, match=f"--cluster takes the address of a scheduler, .* found '{address}'"):
             Cluster(address)
 
 

@@ -605,3 +605,12 @@ def test_python_fmus_have_numbers_of_their_own(fmus, python_fmus, job, tmp_path)
         for folder in (fmus, python_fmus, fmus, python_fmus):
             run_numbers([job(0, run__duration=0.01)], folder, journal, evaluations, 1)
     assert len(evaluations) == 2
+
+
+def test_jobs_that_come_to_the_same_run_are_run_once(fmus, job, tmp_path, begun):
+    one = job(0, run__seed=1)
+    jobs = [one, Job(1, one.scenario, one.folder), Job(2, one.scenario, one.folder, {"controller.start.a_min": 0.5})]
+    with Journal(tmp_path / "journal", "test") as journal:
+        found = run_numbers(jobs, fmus, journal, measured, 2)
+    assert len(begun) == 2
+    assert bits(found[0]) == bits(found[1]) != bits(found[2])
