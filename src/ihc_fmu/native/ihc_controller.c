@@ -51,7 +51,7 @@ static pendulum_coefficients nominal_pendulum(const ihc_params *m)
 static double voltage_for(const ihc_params *m, double delta, double theta_dot, double delta_dot, double theta_ddot)
 {
     const pendulum_coefficients c = nominal_pendulum(m);
-    return pendulum_arm_torque(&c, delta, theta_dot, delta_dot, theta_ddot) / m->nominal_torque_per_volt;
+    return pendulum_arm_torque(&c, c.D_r, delta, theta_dot, delta_dot, theta_ddot) / m->nominal_torque_per_volt;
 }
 
 /* The nominal pendulum under a held torque of its motor. */
@@ -65,7 +65,7 @@ static void held_rate(const void *model, const double x[PENDULUM_MOST_STATES], d
     const held_pendulum *pendulum = model;
     dx[0] = x[2];
     dx[1] = x[3];
-    pendulum_accelerations(&pendulum->c, x[1], x[2], x[3], pendulum->torque, 0.0, &dx[2], &dx[3]);
+    pendulum_accelerations(&pendulum->c, pendulum->c.D_r, x[1], x[2], x[3], pendulum->torque, 0.0, &dx[2], &dx[3]);
     dx[4] = 0.0; /* no motor's state */
 }
 
