@@ -465,7 +465,6 @@ static void assign(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
 static fmi2Status tune(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values)
 {
     const size_t before_state = (size_t)((unsigned char *)m->state - m->block);
-    derive_outputs(m); /* of the parameters that the step had */
     memcpy(m->spare, m->block, before_state);
     assign(m, type, vr, count, values);
     const int status = m->unit->prepare(m->parameters, m->prepared);

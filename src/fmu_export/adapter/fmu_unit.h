@@ -53,8 +53,8 @@ typedef struct {
     int (*step)(const void *parameters, const void *prepared, void *state, double time, double step,
                 const void *inputs);
     void (*get_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
-    /* Compute the outputs that cost more than a copy, from offset `first_derived` on; called when they are asked for.
-     * NULL: get_outputs makes all. */
+    /* Compute the outputs from offset `first_derived` on, which get_outputs leaves, of the state and fixed parameters;
+     * called when they are asked for. NULL: there are none. */
     void (*derive_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
     size_t first_derived;
     int (*state_is_valid)(const void *state); /* whether a restored state can do no harm */
