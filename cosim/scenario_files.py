@@ -65,11 +65,14 @@ def beside_or_here(file: str, folder: FilePath | None) -> Path:
 def portable(scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> tuple[Scenario, dict[str, Path]]:
     """Return a scenario for another folder, and by their names there the files that it then needs beside it.
 
-    They are the FMUs that are not in the folder `fmus`, tables of signals, the controller's design, the parameter file.
+    They are the FMUs that lie beside the scenario, or not in the folder `fmus`, tables of signals, the controller's design,
+    the parameter file.
     """
     used, parameters = files(scenario, fmus, folder), parameter_files.file_of(scenario.plant.parameters, folder)
-    there = Path(fmus).absolute()
-    beside = {path.name: path for path in used.fmus.values() if path.parent.absolute() != there} | used.tables
+    stays = Path(fmus).absolute()
+    if folder is not None and Path(folder).absolute() == stays:
+        stays = None  # of an SSP file, or what lies beside the scenario
+    beside = {path.name: path for path in used.fmus.values() if path.parent.absolute() != stays} | used.tables
     named = {"controller.design": used.design, "plant.parameters": parameters}
     moved = {entry: path for entry, path in named.items() if path is not None}
     beside |= {path.name: path for path in moved.values()}

@@ -312,6 +312,8 @@ def print_front(front: Front) -> None:
     rows = [row("LC", front.linear), *(row("rule", p) for p in front.of(RULE)[-1:])]
     points = sorted(front.of(FRONT), key=lambda p: p.held_out[0].value)
     rows += [row("chosen" if p is front.chosen else "", p) for p in points]
+    if front.retuned is not None:
+        rows.append(row("LC, retuned", front.retuned[0]))
     bold = [number for number, cells in enumerate(rows) if cells[0] == "chosen"]
     show_table(f"the front{drawn}", ["", *(q.heading for q in objectives)], rows, bold=bold)
     beaten, lost = len(front.of(DOMINATED)), len(front.of(LOST))
@@ -324,6 +326,8 @@ def print_front(front: Front) -> None:
     if ends := front.at_ends():
         console.print(escaped(f"the chosen point is at the end of a range: {', '.join(ends)}; --over takes others"))
     console.print(escaped(front.verdict()), style="bold")
+    if said := front.over_retuned():
+        console.print(escaped(said), style="bold")
 
 
 def print_claims(claims: list[Claim]) -> None:

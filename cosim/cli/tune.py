@@ -70,6 +70,12 @@ def tune(
         ),
     ] = None,
     gain: Annotated[bool, typer.Option("--gain", help="Vary the entries of K for the front too.")] = False,
+    linear: Annotated[
+        bool,
+        typer.Option(
+            "--linear", help="Also look for what the LC itself can have, K and filter as free; drawn and judged beside."
+        ),
+    ] = False,
     limit: Annotated[
         list[str] | None,
         typer.Option(
@@ -113,10 +119,10 @@ def tune(
 
     sizes = {"population": population, "generations": generations, "held_out": held_out, "seed": seed}
     sizes = {name: value for name, value in sizes.items() if value is not None}
-    if pareto is None and (over or gain or limit or sizes):
+    if pareto is None and (over or gain or linear or limit or sizes):
         raise UserError(
-            "--over, --gain, --limit, --population, --generations, --held-out and --seed are for a front; --pareto names "
-            "its objectives"
+            "--over, --gain, --linear, --limit, --population, --generations, --held-out and --seed are for a front; "
+            "--pareto names its objectives"
         )
     if pareto is not None and (measure is not None or most_chattering is not None):
         raise UserError(
@@ -142,7 +148,9 @@ def tune(
     target = output or Path("results") / f"tune_{loaded_scenario.name}"
     search = None
     if pareto is not None:
-        search = _search(problem, known, pareto.split(","), over or [], limit or [], gain, sizes)
+        search = _search(
+            problem, known, pareto.split(","), over or [], limit or [], gain=gain, linear=linear, sizes=sizes
+        )
         problem = replace(problem, measure=search.objectives[0].name)
     check_replaceable(*(target / name for name in _files(search)))
     say_notes(remarks_before(system, loaded_scenario))
@@ -204,7 +212,9 @@ def _search(
     objectives: list[str],
     over: list[str],
     limit: list[str],
+    *,
     gain: bool,
+    linear: bool,
     sizes: dict[str, int],
 ) -> Search:
     """Return what the options say of the search; raise UserError for what they cannot say."""
@@ -213,7 +223,9 @@ def _search(
 
     controller = TunedController(problem, design)
     found = objectives_of(objectives, problem.quantities)
-    return Search(found, tuple(controller.tunables(ranges_over(over), gain)), limits_of(limit, found), **sizes)
+    return Search(
+        found, tuple(controller.tunables(ranges_over(over), gain)), limits_of(limit, found), linear=linear, **sizes
+    )
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

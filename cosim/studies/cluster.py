@@ -168,7 +168,7 @@ class Cluster:
         Raises what a run raises, UserError where the scheduler is lost, after `ended` for all that has come back.
         """
         with second_ends():
-            _Campaign(self, jobs, fmus, judge, failed, ended).run()
+            _Dispatch(self, jobs, fmus, judge, failed, ended).run()
 
     def close(self) -> None:
         """End the connection."""
@@ -176,7 +176,7 @@ class Cluster:
             self.client.close(timeout=2)
 
 
-class _Campaign(Generic[T]):
+class _Dispatch(Generic[T]):
     """What is under way of the jobs."""
 
     def __init__(

@@ -26,7 +26,7 @@ from .experiments import laws_of
 from .journal import Journal
 from .nsga import check_installed, nondominated
 from .numbers import Numbers
-from .pareto_front import DOMINATED, FRONT, LC, LOST, RULE, Front, ParetoPoint, Search
+from .pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE, Front, ParetoPoint, Search
 from .tunables import Setting, TunedController
 from .tuning import Grid, Point, Tuning, TuningProblem, tune
 
@@ -122,16 +122,27 @@ def pareto(
     rule = tune(problem, grid, journal, workers, report)
     judge = _Judge(problem, search, controller, journal, workers)
     judge.begin(lambda done, total: report("the LC", done, total))
-    found = _Explorer(judge, report, say or (lambda _sentence: None)).found(_first(search, controller, rule))
-    return _judged(judge, rule, found, report)
-
-
-def _first(search: Search, controller: TunedController, rule: Tuning) -> Array:
-    """Return the first generation as shares (population, n): the present values, the LC's, the rule's stops, a Sobol set."""
-    from scipy.stats import qmc  # noqa: PLC0415 - heavy
-
+    tell = say or (lambda _sentence: None)
     known: list[Mapping[str, float]] = [controller.start, {**controller.start, "a_min": 1.0, "b_max": 1.0}]
     known += [{**controller.start, **values_of(point)} for point in rule.stops]
+    found = _Explorer(judge, search, controller.setting, report, tell).found(_first(search, known))
+    retuned: list[_Found] = []
+    if search.linear:
+        linear = replace(search, tunables=tuple(controller.of_linear()))
+        what = "the LC's own front, "
+        explorer = _Explorer(judge, linear, controller.linear_setting, report, tell, what)
+        retuned = explorer.found(_first(linear, [controller.start]))
+    return _judged(judge, rule, found, retuned, report)
+
+
+_Found = tuple[dict[str, float], Setting]
+"""A point that was found: its values, and what they change."""
+
+
+def _first(search: Search, known: Sequence[Mapping[str, float]]) -> Array:
+    """Return the first generation as shares (population, n): the `known` points, and a Sobol set."""
+    from scipy.stats import qmc  # noqa: PLC0415 - heavy
+
     begun = [[t.share(values[t.name]) for t in search.tunables] for values in known]
     begun = [list(row) for row in dict.fromkeys(map(tuple, begun))][: search.population // 2]
     generator = np.random.default_rng(search.seed)
@@ -148,18 +159,27 @@ def values_of(point: Point) -> dict[str, float]:
 class _Explorer:
     """Evaluates the points of a search, generation by generation, and remembers the feasible ones."""
 
-    def __init__(self, judge: _Judge, report: Say, say: Callable[[str], None]) -> None:
-        self.judge, self.search, self.report, self.say = judge, judge.search, report, say
+    def __init__(
+        self,
+        judge: _Judge,
+        search: Search,
+        setting: Callable[[Mapping[str, float]], Setting],
+        report: Say,
+        say: Callable[[str], None],
+        what: str = "",
+    ) -> None:
+        self.judge, self.search, self.setting = judge, search, setting
+        self.report, self.say, self.what = report, say, what
         self.feasible: dict[tuple[float, ...], Array] = {}
         self.told = False
 
-    def found(self, first: Array) -> list[tuple[dict[str, float], Setting]]:
+    def found(self, first: Array) -> list[_Found]:
         """Return the values, and what they change, of the last generation's front and of the best within the limits."""
         search = self.search
         last = nondominated(self.evaluated, first, len(search.objectives), search.generations, search.seed)
         points = [self._values(shares) for shares in last]
         points += [dict(zip(points[0], values, strict=True)) for values in self._within_limits()] if points else []
-        return [(v, self.judge.controller.setting(v)) for v in {tuple(v.values()): v for v in points}.values()]
+        return [(v, self.setting(v)) for v in {tuple(v.values()): v for v in points}.values()]
 
     def evaluated(self, generation: int, points: Array) -> tuple[Array, Array]:
         """Return the logarithms of the objectives (k, n) and the violations (k, 1) of points in the unit cube."""
@@ -167,14 +187,14 @@ class _Explorer:
 
         def count(done: int, total: int) -> None:
             counts.append(done)
-            self.report(f"generation {generation} of {self.search.generations}", done, total)
+            self.report(f"{self.what}generation {generation} of {self.search.generations}", done, total)
 
         F, G = np.zeros((len(points), len(self.search.objectives))), np.full((len(points), 1), WORST)
         settings: dict[int, tuple[dict[str, float], Setting]] = {}
         for i, shares in enumerate(points):
             values = self._values(shares)
             try:
-                settings[i] = values, self.judge.controller.setting(values)
+                settings[i] = values, self.setting(values)
             except UserError:
                 continue  # no design is proven for it, or a_min > b_max
         changes = [setting.changes for _, setting in settings.values()]
@@ -209,7 +229,7 @@ class _Explorer:
         self.told = True
 
 
-def _judged(judge: _Judge, rule: Tuning, found: Sequence[tuple[dict[str, float], Setting]], report: Say) -> Front:
+def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Sequence[_Found], report: Say) -> Front:
     """Run the LC, the rule's way and the points found in the held-out draws, and choose."""
     problem, search = judge.problem, judge.search
     way = [(values_of(p), problem.changes(p, rule.designs[p.mu, p.u_max])) for p in rule.way]
@@ -217,6 +237,7 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[tuple[dict[str, float],
         (LC, {}, judge.controller.linear(), None),
         *((RULE, values, changes, None) for values, changes in way),
         *((FRONT, values, setting.changes, setting) for values, setting in found),
+        *((RETUNED, values, setting.changes, setting) for values, setting in retuned),
     ]
     changes = [row[2] for row in rows]
     searched = judge.runs(changes, problem.numbers, lambda done, total: report("the search's draws", done, total))
@@ -235,12 +256,24 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[tuple[dict[str, float],
         )
         for (kind, values, _, setting), seen, draws in zip(rows, searched, held, strict=True)
     ]
-    feasible = [p for p in points if p.kind != LOST]
-    points = [
-        replace(p, kind=DOMINATED) if p.kind == FRONT and any(_better(other, p) for other in feasible) else p
-        for p in points
+    draws_of = dict(zip(map(id, points), held, strict=True))
+    rivals = {FRONT: [p for p in points if p.kind not in (LOST, RETUNED)]}
+    rivals[RETUNED] = [p for p in points if p.kind == RETUNED]
+    beaten = [p for p in points if any(_better(other, p) for other in rivals.get(p.kind, ()))]
+    left = [
+        replace(p, kind=DOMINATED) if p in beaten and p.kind == FRONT else p for p in points if not _dropped(p, beaten)
     ]
-    return Front(search, tuple(points), _chosen(points, search), rule, bool(problem.chance))
+    chosen, best = _chosen(left, search, FRONT), _chosen(left, search, RETUNED)
+    over = None
+    if chosen is not None and best is not None:
+        pair = draws_of[id(chosen)], draws_of[id(best)]
+        over = best, tuple(change_over(*pair, q) for q in search.objectives)
+    return Front(search, tuple(left), chosen, rule, bool(problem.chance), over)
+
+
+def _dropped(point: ParetoPoint, beaten: Sequence[ParetoPoint]) -> bool:
+    """Return whether a point is left out: one of the LC's own that another of them is better than."""
+    return point.kind == RETUNED and point in beaten
 
 
 def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
@@ -249,8 +282,8 @@ def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
     return all(x <= y for x, y in pairs) and any(x < y for x, y in pairs)
 
 
-def _chosen(points: Sequence[ParetoPoint], search: Search) -> ParetoPoint | None:
-    """Return the point of the front that keeps the limits in all draws and has the least first objective in the search's.
+def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoPoint | None:
+    """Return the point of a kind that keeps the limits in all draws and has the least first objective in the search's.
 
     The held-out draws do not choose, so that what they say of the chosen point is not flattered.
     """
@@ -259,7 +292,7 @@ def _chosen(points: Sequence[ParetoPoint], search: Search) -> ParetoPoint | None
     able = [
         p
         for p in points
-        if p.kind == FRONT
+        if p.kind == kind
         and all(p.searched[i] <= x * linear.searched[i] for i, x in limits.items())
         and all(p.held_out[i].value <= x * linear.held_out[i].value for i, x in limits.items())
     ]

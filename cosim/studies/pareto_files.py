@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from filing.files import staging, write_file
 from fmu_export.files import FilePath
 
 from ..plots import COLOURS, OTHERS, literal, save_figure
-from .pareto_front import DOMINATED, FRONT, LC, LOST, RULE, Front, ParetoPoint
+from .pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE, Front, ParetoPoint
 from .tuning import TuningProblem
 from .tuning_files import cell, write_best
 
@@ -57,7 +58,7 @@ def _table(front: Front) -> str:
     return "\n".join(lines) + "\n"
 
 
-ORDER = (LC, RULE, FRONT, DOMINATED, LOST)
+ORDER = (LC, RULE, FRONT, RETUNED, DOMINATED, LOST)
 """Of kinds in the table."""
 
 
@@ -97,6 +98,9 @@ def _panel(axis: Any, front: Front, i: int, j: int) -> None:
     way = front.of(RULE)
     draw(way, ".-", ms=4, lw=1, color=OTHERS[0], label="the paper's rule")
     draw(way[-1:], "s", ms=8, mfc="none", mew=1.5, color=OTHERS[0], label="where it stops")
+    draw(front.of(RETUNED), "^", ms=5, mfc="none", color=COLOURS["LC"], label="LC, retuned")
+    if front.retuned is not None:
+        draw([front.retuned[0]], "^", ms=10, color=COLOURS["LC"], label="LC, retuned, chosen")
     draw([front.linear], "D", ms=8, color=COLOURS["LC"], label="LC")
     if front.chosen is not None:
         draw([front.chosen], "o", ms=13, mfc="none", mew=2, color=OTHERS[1], label="chosen")
@@ -107,7 +111,12 @@ def _panel(axis: Any, front: Front, i: int, j: int) -> None:
     shown = [p for p in front.points if p.kind != LOST]
     for k, scale, label in ((i, axis.set_xscale, axis.set_xlabel), (j, axis.set_yscale, axis.set_ylabel)):
         label(literal(q[k].heading))
-        scale("log" if _wide(shown, k) else "linear")
+        if _wide(shown, k):
+            scale("log")
+            ruler = axis.xaxis if k == i else axis.yaxis
+            ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            ruler.set_major_formatter(StrMethodFormatter("{x:g}"))
+            ruler.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3, which="both")
 
 

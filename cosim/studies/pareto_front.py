@@ -16,9 +16,11 @@ from .estimates import MeanEstimate, change_text
 from .tunables import Setting, Tunable
 from .tuning import ROLES, Tuning
 
-LC, RULE, FRONT, DOMINATED, LOST = "LC", "rule", "front", "dominated", "infeasible"
-"""What a point is: the LC, one that the paper's rule passed, and of those that the search found: one of the front, one
-that another is better than in every objective, or one that is infeasible, in the draws that the search did not see."""
+LC, RULE, FRONT, RETUNED = "LC", "rule", "front", "retuned LC"
+DOMINATED, LOST = "dominated", "infeasible"
+"""What a point is: the LC, one that the paper's rule passed, one of the front, one of the front that the LC itself has with
+its K and filter tuned as freely; and of those that the searches found, in the draws that they did not see: one that another
+is better than in every objective, or one that is infeasible."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Search:
 
     `objectives`: metrics to make small, the first above all; `tunables`: the numbers that are varied; `limits`: largest
     values of objectives for the chosen point, relative to the LC's, by the objective's name, empty: 1 for every one but
-    the first. `held_out`: draws that judge.
+    the first. `held_out`: draws that judge. `linear`: whether the LC's own front is looked for too.
     """
 
     objectives: tuple[MetricMeaning, ...]
@@ -37,6 +39,7 @@ class Search:
     generations: int = 20
     held_out: int = 64
     seed: int = 1
+    linear: bool = False
 
     def __post_init__(self) -> None:
         for name, least in (("population", 4), ("generations", 1), ("held_out", 2), ("seed", 0)):
@@ -113,7 +116,8 @@ class ParetoPoint:
 class Front:
     """What a search came to: the points judged on held-out draws, the chosen one, the rule's tuning.
 
-    `chosen` None: no point keeps the limits. `random`: something was left to chance.
+    `chosen` None: no point keeps the limits. `random`: something was left to chance. `retuned`: the point that the same
+    limits choose of the retuned LC's, and the changes of the chosen point over it.
     """
 
     search: Search
@@ -121,6 +125,7 @@ class Front:
     chosen: ParetoPoint | None
     rule: Tuning
     random: bool
+    retuned: tuple[ParetoPoint, tuple[MeanEstimate, ...]] | None = None
 
     @property
     def linear(self) -> ParetoPoint:
@@ -168,6 +173,17 @@ class Front:
             f"the LC does not gain: with {within} no point is decidedly better in {first.symbol}; the best found has over "
             f"the LC {changes}, {drawn}"
         )
+
+    def over_retuned(self) -> str:
+        """Return in a sentence what the chosen point has over the LC at its own best tuning; empty where none was sought."""
+        if not self.search.linear:
+            return ""
+        if self.retuned is None:
+            return "the LC at its own best tuning keeps no such limits" if self.chosen is not None else ""
+        changes = ", ".join(
+            f"{q.symbol} {change_text(e)}" for q, e in zip(self.search.objectives, self.retuned[1], strict=True)
+        )
+        return f"over the LC at its own best tuning, K and filter as free and within the same limits: {changes}"
 
     def at_ends(self) -> list[str]:
         """Return which ranges the chosen point lies at the end of, in words."""

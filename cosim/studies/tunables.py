@@ -160,6 +160,24 @@ class TunedController:
         ranges = {**(over or self._usual()), **(self._gains() if gain else {})}
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
+    def of_linear(self) -> list[Tunable]:
+        """Return what is tuned of the law LC: its K, and the noises of the pendulum's Kalman filter where that is used.
+
+        Raises UserError where the gain is not known.
+        """
+        ranges = self._gains()
+        if self.filtered:
+            ranges |= {name: _around(self.start[name], SPREAD) for name in NOISES}
+        return [self._tunable(name, limits) for name, limits in ranges.items()]
+
+    def linear_setting(self, values: Mapping[str, float]) -> Setting:
+        """Return what these values change for the law LC, which needs no design."""
+        plain: dict[str, Value] = {name: value for name, value in values.items() if name in self.gains}
+        if any(name in values for name in NOISES):
+            plain |= self._kalman({**self.start, **values})
+        changes = {**self.linear(), **_entries(plain)}
+        return Setting(changes, changes, None)
+
     def _usual(self) -> dict[str, Range]:
         ranges = {"a_min": A_MIN, "b_max": B_MAX}
         if self.redesigned and self.design is not None:
@@ -173,7 +191,7 @@ class TunedController:
     def _gains(self) -> dict[str, Range]:
         """Return the ranges of the gain's entries; raise UserError where they cannot be tuned."""
         if not self.redesigned:
-            raise UserError("--gain needs a controller whose design is known, without integral action, psi and d_max")
+            raise UserError("tuning K needs a controller whose design is known, without integral action, psi and d_max")
         return {name: _around(self.start[name], GAINS) for name in self.gains if self.start[name] != 0.0}
 
     def _tunable(self, name: str, limits: Range) -> Tunable:

@@ -27,8 +27,10 @@ from fmu_export.variables import did_you_mean
 from ..fmu_files import describe, start_values_of
 from ..scenario import Scenario
 from ..scenario_system import build_system
-from ..start_values import as_value, not_settable
+from ..start_values import as_value
 from ..typed import value_of
+from .entries import entry_of
+from .experiments import LAW
 from .ranges import SEPARATOR, range_of
 
 Array = np.ndarray
@@ -74,7 +76,7 @@ class Entries:
     """The entries of a scenario by the names under which they can be varied, with their nominal values."""
 
     def __init__(self, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> None:
-        self.scenario = scenario
+        self.scenario, self._place = scenario, (fmus, folder)
         self._variables, self._start = {}, {}
         for component in build_system(scenario, fmus, folder).components:
             path = Path(component.path)
@@ -83,37 +85,21 @@ class Entries:
         self._data: Mapping[str, Any] = scenario.model_dump(mode="json")
 
     def path(self, name: str) -> str:
-        """Return the path of an entry; `plant.m_p` stands for `plant.start.m_p`, as of every component.
+        """Return the path of an entry, see `entries.entry_of`.
 
         Raises UserError where there is no such entry, or one that a sweep does not vary.
         """
-        section, _, rest = name.partition(".")
-        if section in FIXED:
+        if name.partition(".")[0] in FIXED:
             raise UserError(f"--vary cannot vary {name}: what is judged and kept is the same in all runs")
-        if section == "components":
-            section, _, rest = rest.partition(".")
-        if section in self._variables:
-            entry = rest.removeprefix("start.")
-            if entry in ("", "start"):
-                raise UserError(f"--vary {name} must name a start value, such as {section}.NAME, or another entry")
-            place = section if section in ("plant", "controller") else f"components.{section}"
-            if rest == entry and rest in type(self.scenario.parts[section]).model_fields:
-                return f"{place}.{rest}"
-            self._check_variable(name, section, entry)
-            return f"{place}.start.{entry}"
-        self._look(name)
-        return name
-
-    def _check_variable(self, name: str, section: str, entry: str) -> None:
-        known = self._variables[section]
-        if entry not in known:
-            fields = [f for f in type(self.scenario.parts[section]).model_fields if f != "start"]
-            near = did_you_mean(entry, [*known, *fields])
-            raise UserError(f"--vary {name}: the FMU of {section} has no variable {entry!r}{near}")
-        if (reason := not_settable(known[entry])) is not None:
-            raise UserError(f"--vary {name}: {section}.{entry} {reason}")
-        if (section, entry) == ("controller", "law"):
+        try:
+            path = entry_of(name, self.scenario, *self._place)
+        except UserError as error:
+            raise UserError(f"--vary {name}: {error}") from None
+        if path == LAW:
             raise UserError("--vary cannot vary the controller's law; --laws names the laws that run side by side")
+        if self._variable(path) is None:
+            self._look(path)
+        return path
 
     def _look(self, path: str) -> Any:
         """Return the value of an entry of the scenario; raise UserError where there is none."""

@@ -25,6 +25,7 @@ from cosim.studies.pareto_front import (
     FRONT,
     LC,
     LOST,
+    RETUNED,
     RULE,
     Front,
     ParetoPoint,
@@ -153,7 +154,7 @@ def front(*points, limits=None):
     stop = Outcome(Point(None, None, 1.0, 1.0), 1.0, 1.0, 8, 8)
     rule = Tuning("settling_time", {stop.point: stop}, (stop.point,), stop, {})
     points = (linear, *points)
-    return Front(search, points, searching._chosen(points, search), rule, True)
+    return Front(search, points, searching._chosen(points, search, FRONT), rule, True)
 
 
 def test_the_chosen_point_keeps_the_limits_in_all_draws_and_is_best_where_it_was_searched():
@@ -310,6 +311,29 @@ def test_the_chosen_point_is_written_as_a_scenario_that_gives_its_numbers(found,
     assert len(rows) == len(front.points)
 
 
+def test_the_linear_controller_is_tuned_as_freely_and_judged_beside(found, tilt, search, design, tmp_path):
+    """Its points change K only, keep the limits as the chosen one does, and none of them is beaten by another."""
+    with Journal(tmp_path / "runs.sqlite", PURPOSE) as journal:
+        controller = TunedController(tilt, design)
+        front = pareto(tilt, dataclasses.replace(search, linear=True), controller, GRID, journal, 2)
+    own = front.of(RETUNED)
+    assert own
+    assert all(set(p.values) == {"k_lin_1", "k_lin_2", "k_lin_3", "k_lin_4"} for p in own)
+    assert {p.setting.changes["controller.start.law"] for p in own if p.setting is not None} == {"LC"}
+    assert not any(searching._better(a, b) for a in own for b in own)
+    assert [p.held_out for p in front.of(FRONT)] == [p.held_out for p in found[0].of(FRONT)]
+    assert front.retuned is not None
+    assert front.chosen is not None
+    best, over = front.retuned
+    assert best.held_out[1].value <= 2.0 * front.linear.held_out[1].value
+    assert over[0].value == pytest.approx(front.chosen.held_out[0].value / best.held_out[0].value - 1.0)
+    assert front.over_retuned().startswith("over the LC at its own best tuning, K and filter as free")
+    assert found[0].over_retuned() == ""
+    save(front, tilt, tmp_path / "out")
+    kinds = [row["kind"] for row in csv.DictReader((tmp_path / "out" / "front.csv").open(encoding="utf-8"))]
+    assert kinds.count("retuned LC") == len(own)
+
+
 def test_an_objective_that_the_linear_controller_lacks_is_refused(tilt, search, design, tmp_path):
     asked = dataclasses.replace(search, objectives=objectives_of(["integral", "rms"], QUANTITIES), limits={})
     with (
@@ -347,7 +371,7 @@ def test_the_command_prints_and_writes_the_front_and_says_when_none_keeps_the_li
     [
         (
             ("--limit", "energy=1"),
-            "--over, --gain, --limit, --population, --generations, --held-out and --seed are for",
+            "--over, --gain, --linear, --limit, --population, --generations, --held-out and --seed are for",
         ),
         (("--pareto", "settling,energy", "--measure", "energy"), "--measure and --most-chattering are for the rule"),
         (("--pareto", "settling,elegance"), "an objective must be one of integral, rms, settling, energy, variation"),

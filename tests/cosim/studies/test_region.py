@@ -313,7 +313,10 @@ def test_the_command_says_the_radii_and_writes_three_files(elsewhere):
             ["controller.law=1..2"],
             "a region is over real numbers, found controller.law, which is of the type Enumeration",
         ),
-        (["plant.delta_0=0..1", "--laws=LC,PID"], "the laws must be different ones of LC, SMC, IHC, STA, found LC, PID"),
+        (
+            ["plant.delta_0=0..1", "--laws=LC,PID"],
+            "the laws must be different ones of LC, SMC, IHC, STA, found LC, PID",
+        ),
         (
             ["plant.delta_0=0..1", "--coarse=6", "--resolution=16"],
             "the finest cells along an axis must be the coarse ones",

@@ -98,7 +98,11 @@ def test_lists_alone_make_a_grid_with_the_same_offsets_at_each_point(plan):
         ({}, {}, None),
         ({"plant.m_p": "±5%", "plant.start.m_p": "±5%"}, {}, "--vary names plant.start.m_p twice"),
         ({"plant.m_p": "±5%"}, {"sampling": "grid"}, "a grid takes lists of values only, and plant.m_p is drawn"),
-        ({"plant.m_p": "±5%"}, {"laws": ["LC", "XX"]}, "--laws must be different ones of LC, SMC, IHC, STA, found LC, XX"),
+        (
+            {"plant.m_p": "±5%"},
+            {"laws": ["LC", "XX"]},
+            "--laws must be different ones of LC, SMC, IHC, STA, found LC, XX",
+        ),
         ({"plant.m_p": "±5%"}, {"laws": []}, "--laws must be different ones of LC, SMC, IHC, STA, found none"),
         ({"plant.m_p": "±5%"}, {"draws": 0}, "--draws must be a whole number from 1 on, found 0"),
         ({"plant.m_p": "±5%"}, {"draws": 10**13}, "a sweep of 10000000000000 draws needs"),
@@ -141,7 +145,8 @@ def test_an_interrupted_sweep_continues_and_a_changed_scenario_takes_nothing_of_
         with pytest.raises(KeyboardInterrupt):
             run_sweep(plan(), journal, 1, interrupt)
         run_sweep(plan(draws=6), journal, 1, lambda *counts: seen.append(counts))
-        assert (seen[0], seen[-1]) == ((5, 12), (12, 12))
+        assert 5 <= seen[0][0] <= 8  # what was under way is kept too
+        assert seen[-1] == (12, 12)
         assert len(journal_rows(file)) == 12
         run_sweep(plan(changes={"plant.start.delta_0": 0.11}), journal, 1)
         assert len(journal_rows(file)) == 12 + 8

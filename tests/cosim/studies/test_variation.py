@@ -81,8 +81,8 @@ def test_the_nominal_value_is_that_of_the_scenario_its_parameter_set_or_the_fmu(
 @pytest.mark.parametrize(
     ("name", "spec", "sentence"),
     [
-        ("plant.m_q", "1..2", "the FMU of plant has no variable 'm_q'; did you mean m_p?"),
-        ("plant", "1..2", "must name a start value"),
+        ("plant.m_q", "1..2", "QubeServo2.fmu has no variable 'm_q'; did you mean m_p?"),
+        ("plant", "1..2", "'plant' is no entry of the scenario, but what has entries"),
         ("plant.theta", "1..2", "no start value to set"),
         ("run.stp", "1,2", "the scenario has no such entry; did you mean step?"),
         ("signals.0.value", "1..2", "the scenario has no such entry"),
