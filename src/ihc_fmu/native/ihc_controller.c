@@ -1,6 +1,5 @@
 #include "ihc_controller.h"
 
-
 enum { N = IHC_ORDER };
 
 static const double PI = 3.14159265358979323846;

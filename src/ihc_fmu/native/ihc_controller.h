@@ -104,11 +104,11 @@ typedef struct {
 typedef struct {
     block_design design;            /* in chain coordinates */
     pendulum_coefficients pendulum; /* the nominal model */
-    norm_search search;      /* how the norm in the law is found */
-    double ahead;            /* sample time of the semi-implicit law; 0: explicit [s] */
-    double decay;            /* of the velocity filter over a sample [1] */
-    double observer_gain[2]; /* on the angle [1] and the velocity [1/s] */
-    double bias_decay;       /* over a sample [1] */
+    norm_search search;             /* how the norm in the law is found */
+    double ahead;                   /* sample time of the semi-implicit law; 0: explicit [s] */
+    double decay;                   /* of the velocity filter over a sample [1] */
+    double observer_gain[2];        /* on the angle [1] and the velocity [1/s] */
+    double bias_decay;              /* over a sample [1] */
 } ihc_prepared;
 
 /* Everything that changes during a run. */

@@ -43,13 +43,13 @@ static inline int pendulum_is_regular(const pendulum_coefficients *c)
     return diagonal - c->varpi_2 * c->varpi_2 > 1e-9 * diagonal;
 }
 
-/* D_r + T_r/(|theta'| + v_s) [N.m.s/rad]. */
+/* Of the arm, D_r + T_r/(|theta'| + v_s) [N.m.s/rad]. */
 static inline double pendulum_damping(const pendulum_coefficients *c, double theta_dot)
 {
     return c->D_r + c->T_r / (fabs(theta_dot) + PENDULUM_FRICTION_SPEED);
 }
 
-/* Solve eq. (5) for theta'', delta'' [rad/s2]. */
+/* Solve eq. (5) for theta'', delta'' [rad/s2], under the arm's damping. */
 static inline void pendulum_accelerations(const pendulum_coefficients *c, double damping, double delta,
                                           double theta_dot, double delta_dot, double tau, double tau_p,
                                           double *theta_ddot, double *delta_ddot)
