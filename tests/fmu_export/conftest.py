@@ -127,6 +127,13 @@ def run(instance, name, first, last):
     return [instance.step(k * STEP, STEP, **inputs_at(name, k)) for k in range(first, last)]
 
 
+def step_silently(instance, name, first, last):
+    """The same steps of a Native, of which no output is asked for."""
+    for k in range(first, last):
+        instance.set(**inputs_at(name, k))
+        instance.done("DoStep", k * STEP, STEP, 0)
+
+
 def binary(folder):
     """Return the path of this machine's binary in an unpacked FMU."""
     folders = {"linux": "linux64", "win32": "win64", "darwin": "darwin64"}

@@ -251,14 +251,16 @@ static int is_usual(const fmu_instance *m, const void *vr, const void *value)
 
 fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Real value[])
 {
-    return is_usual(c, vr, value) ? fmu_copy(c, FMU_REAL, vr, nvr, value)
-                                  : get(c, "fmi2GetReal", FMU_REAL, vr, nvr, value);
+    return is_usual(c, vr, value) && fmu_copy(c, FMU_REAL, vr, nvr, value) == nvr
+        ? fmi2OK
+        : get(c, "fmi2GetReal", FMU_REAL, vr, nvr, value);
 }
 
 fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Integer value[])
 {
-    return is_usual(c, vr, value) ? fmu_copy(c, FMU_INTEGER, vr, nvr, value)
-                                  : get(c, "fmi2GetInteger", FMU_INTEGER, vr, nvr, value);
+    return is_usual(c, vr, value) && fmu_copy(c, FMU_INTEGER, vr, nvr, value) == nvr
+        ? fmi2OK
+        : get(c, "fmi2GetInteger", FMU_INTEGER, vr, nvr, value);
 }
 
 fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t nvr, fmi2Boolean value[])
@@ -333,8 +335,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate FMUstate)
     if (!allowed(m, "fmi2SetFMUstate", ANY_PHASE) || !is_state(m, "fmi2SetFMUstate", s)) {
         return fmi2Error;
     }
-    m->progress = s->progress;
-    memcpy(m->block, s->block, m->block_size);
+    fmu_restore(m, s);
     return fmi2OK;
 }
 

@@ -132,6 +132,8 @@ static int allocate(fmu_instance *m)
         *parts[i] = m->block + offset;
         offset += aligned(sizes[i]);
     }
+    m->outdated = m->block + m->block_size;
+    m->derived = u->derive_outputs == NULL ? m->outdated : (unsigned char *)m->outputs + u->first_derived;
     return 1;
 }
 
@@ -157,6 +159,7 @@ void fmu_set_start(fmu_instance *m)
 {
     const fmu_progress fresh = {FMU_INSTANTIATED, 0, 0.0, 0.0, fmi2OK, 0};
     m->progress = fresh;
+    m->outdated = m->block + m->block_size;
     memset(m->block, 0, m->block_size);
     for (size_t i = 0; i < m->unit->variable_count; i++) {
         const fmu_variable *v = &m->unit->variables[i];
@@ -242,6 +245,22 @@ void fmu_destroy(fmu_instance *m)
 static void read_outputs(fmu_instance *m)
 {
     m->unit->get_outputs(m->parameters, m->prepared, m->state, m->outputs);
+    m->outdated = m->derived;
+}
+
+/* Compute the outputs that are out of date. */
+static void derive_outputs(fmu_instance *m)
+{
+    if (m->outdated == m->derived && m->unit->derive_outputs != NULL) {
+        m->unit->derive_outputs(m->parameters, m->prepared, m->state, m->outputs);
+        m->outdated = m->block + m->block_size;
+    }
+}
+
+static void read_all_outputs(fmu_instance *m)
+{
+    read_outputs(m);
+    derive_outputs(m);
 }
 
 fmi2Status fmu_observe(fmu_instance *m, const char *call)
@@ -251,7 +270,7 @@ fmi2Status fmu_observe(fmu_instance *m, const char *call)
         fmu_say(m, fmi2Error, "%s: the inputs must be finite", call);
         return fmi2Error;
     }
-    read_outputs(m);
+    read_all_outputs(m);
     return fmi2OK;
 }
 
@@ -279,7 +298,7 @@ fmi2Status fmu_initialize(fmu_instance *m)
         }
         return fmu_observe(m, "initialization");
     }
-    read_outputs(m);
+    read_all_outputs(m);
     return fmi2OK;
 }
 
@@ -349,13 +368,13 @@ FMU_SELDOM static fmi2Status refresh(fmu_instance *m, const fmi2ValueReference *
     return fmi2OK;
 }
 
-fmi2Status fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values)
+size_t fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values)
 {
     const size_t variables = m->unit->variable_count;
     void *const *where = m->of_type[type];
     for (size_t i = 0; i < count; i++) {
-        if (vr[i] >= variables || where[vr[i]] == NULL) {
-            return unknown(m, type, vr[i]);
+        if (vr[i] >= variables || where[vr[i]] == NULL || (const unsigned char *)where[vr[i]] >= m->outdated) {
+            return i;
         }
         if (type == FMU_REAL) {
             ((double *)values)[i] = *(const double *)where[vr[i]];
@@ -363,7 +382,7 @@ fmi2Status fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReferen
             ((int *)values)[i] = *(const int *)where[vr[i]];
         }
     }
-    return fmi2OK;
+    return count;
 }
 
 fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values)
@@ -374,7 +393,12 @@ fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr,
             return status;
         }
     }
-    return fmu_copy(m, type, vr, count, values);
+    size_t copied = fmu_copy(m, type, vr, count, values);
+    if (copied < count) {
+        derive_outputs(m);
+        copied = fmu_copy(m, type, vr, count, values);
+    }
+    return copied < count ? unknown(m, type, vr[copied]) : fmi2OK;
 }
 
 static int settable(const fmu_instance *m, const fmu_variable *v)
@@ -501,8 +525,9 @@ typedef struct {
     char guid[FMU_GUID_SIZE];
 } header;
 
-fmu_snapshot *fmu_save(const fmu_instance *m)
+fmu_snapshot *fmu_save(fmu_instance *m)
 {
+    derive_outputs(m); /* what is saved is whole */
     fmu_snapshot *s = calloc(1, sizeof *s);
     if (s == NULL) {
         return NULL;
@@ -519,6 +544,13 @@ fmu_snapshot *fmu_save(const fmu_instance *m)
     s->progress = m->progress;
     memcpy(s->block, m->block, m->block_size);
     return s;
+}
+
+void fmu_restore(fmu_instance *m, const fmu_snapshot *s)
+{
+    m->progress = s->progress;
+    memcpy(m->block, s->block, m->block_size);
+    m->outdated = m->block + m->block_size;
 }
 
 int fmu_is_snapshot(const fmu_instance *m, const fmu_snapshot *s)
@@ -604,7 +636,7 @@ static int is_phase(fmu_phase phase, fmi2Type kind)
     return any || (kind == fmi2CoSimulation ? phase == FMU_STEP : phase == FMU_EVENT || phase == FMU_CONTINUOUS);
 }
 
-fmu_snapshot *fmu_deserialize(const fmu_instance *m, const unsigned char *bytes, size_t size)
+fmu_snapshot *fmu_deserialize(fmu_instance *m, const unsigned char *bytes, size_t size)
 {
     const header expected = header_for(m);
     header h;

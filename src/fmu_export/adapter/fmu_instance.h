@@ -41,6 +41,8 @@ typedef struct {
     size_t block_size;
     unsigned char *block; /* parameters, inputs, outputs, prepared, state */
     void *parameters, *inputs, *outputs, *prepared, *state;
+    const unsigned char *derived;  /* where outputs begin that are computed when asked for; the block's end for none */
+    const unsigned char *outdated; /* where those begin that are older than the state; the block's end for none */
     unsigned char *spare; /* room for the block up to the state, before a change */
     void **where;         /* address of each variable */
     void **of_type[3];    /* the same of those of one fmu_type that are shown, NULL for others */
@@ -89,8 +91,9 @@ int fmu_state_index(const fmu_instance *m, fmi2ValueReference vr);
 /* Model exchange: outputs under the present inputs and states. */
 fmi2Status fmu_observe(fmu_instance *m, const char *call);
 
-/* Copy values as they are, into reals for FMU_REAL, else into ints. */
-fmi2Status fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values);
+/* Copy values as they are, into reals for FMU_REAL, else into ints, up to the first that is unknown or out of date;
+ * returns how many. */
+size_t fmu_copy(const fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values);
 
 /* The usual call between steps: finite values of real inputs without bounds. 0, and nothing is set, where it is
  * another. */
@@ -100,7 +103,8 @@ int fmu_set_inputs(fmu_instance *m, const fmi2ValueReference *vr, size_t count, 
 fmi2Status fmu_get(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, void *values);
 fmi2Status fmu_set(fmu_instance *m, fmu_type type, const fmi2ValueReference *vr, size_t count, const void *values);
 
-fmu_snapshot *fmu_save(const fmu_instance *m);
+fmu_snapshot *fmu_save(fmu_instance *m);
+void fmu_restore(fmu_instance *m, const fmu_snapshot *s);
 
 /* Whether it is one of an instance of the same FMU and kind. */
 int fmu_is_snapshot(const fmu_instance *m, const fmu_snapshot *s);
@@ -109,7 +113,7 @@ size_t fmu_serialized_size(const fmu_instance *m);
 void fmu_serialize(const fmu_instance *m, const fmu_snapshot *s, unsigned char *bytes);
 
 /* NULL with a sentence in the log for bytes that are no state of this FMU. */
-fmu_snapshot *fmu_deserialize(const fmu_instance *m, const unsigned char *bytes, size_t size);
+fmu_snapshot *fmu_deserialize(fmu_instance *m, const unsigned char *bytes, size_t size);
 
 FMU_PRIVATE_END
 

@@ -27,6 +27,7 @@
 #define fmu_get FMU_NAMED(fmu_get)
 #define fmu_set FMU_NAMED(fmu_set)
 #define fmu_save FMU_NAMED(fmu_save)
+#define fmu_restore FMU_NAMED(fmu_restore)
 #define fmu_is_snapshot FMU_NAMED(fmu_is_snapshot)
 #define fmu_free_snapshot FMU_NAMED(fmu_free_snapshot)
 #define fmu_serialized_size FMU_NAMED(fmu_serialized_size)

@@ -53,6 +53,10 @@ typedef struct {
     int (*step)(const void *parameters, const void *prepared, void *state, double time, double step,
                 const void *inputs);
     void (*get_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
+    /* Compute the outputs from offset `first_derived` on, which get_outputs leaves, of the state and fixed parameters;
+     * called when they are asked for. NULL: there are none. */
+    void (*derive_outputs)(const void *parameters, const void *prepared, const void *state, void *outputs);
+    size_t first_derived;
     int (*state_is_valid)(const void *state); /* whether a restored state can do no harm */
     /* Write a sentence on a status; `names` are those of the variables, by reference, as the FMU shows them. */
     fmu_severity (*explain)(int status, const char *const *names, const void *parameters, const void *state,

@@ -461,8 +461,8 @@ static inline double root_of(const block_design *d, const double *c, double gues
     double sigma = log(opaque(guess));
     for (int k = 0; k < NEWTON_LIMIT; k++) {
         const double s = exp(-mu * sigma);
-        double value = 0.0, weighted = 0.0;
-        for (int m = coefficients_of(d) - 1; m >= 0; m--) {
+        double value = c[coefficients_of(d) - 1], weighted = 0.0;
+        for (int m = coefficients_of(d) - 2; m >= 0; m--) {
             weighted = weighted * s + value;
             value = value * s + c[m];
         }
@@ -627,8 +627,8 @@ static inline void look_ahead(const block_design *d, double h, const double *z, 
             }
             continue;
         }
-        if (exponent_of(d, i) != exponent_of(d, i + 1)) {
-            end = begin;
+        if (HOMOGENEOUS_CHAIN || exponent_of(d, i) != exponent_of(d, i + 1)) {
+            end = HOMOGENEOUS_CHAIN ? i + 2 : begin; /* which a compiler sees through */
             begin = i + 1;
         }
         const double *links = &d->N[i * n + begin];

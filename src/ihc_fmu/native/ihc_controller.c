@@ -1,7 +1,5 @@
 #include "ihc_controller.h"
 
-#include "rotary_pendulum.h"
-
 enum { N = IHC_ORDER };
 
 static const double PI = 3.14159265358979323846;
@@ -48,15 +46,15 @@ static pendulum_coefficients nominal_pendulum(const ihc_params *m)
 }
 
 /* The voltage under which the arm accelerates by theta_ddot: inverse dynamics. */
-static double voltage_for(const ihc_params *m, double delta, double theta_dot, double delta_dot, double theta_ddot)
+static double voltage_for(const ihc_params *m, const pendulum_coefficients *c, double delta, double theta_dot,
+                          double delta_dot, double theta_ddot)
 {
-    const pendulum_coefficients c = nominal_pendulum(m);
-    return pendulum_arm_torque(&c, delta, theta_dot, delta_dot, theta_ddot) / m->nominal_torque_per_volt;
+    return pendulum_arm_torque(c, c->D_r, delta, theta_dot, delta_dot, theta_ddot) / m->nominal_torque_per_volt;
 }
 
 /* The nominal pendulum under a held torque of its motor. */
 typedef struct {
-    pendulum_coefficients c;
+    const pendulum_coefficients *c;
     double torque;
 } held_pendulum;
 
@@ -65,16 +63,16 @@ static void held_rate(const void *model, const double x[PENDULUM_MOST_STATES], d
     const held_pendulum *pendulum = model;
     dx[0] = x[2];
     dx[1] = x[3];
-    pendulum_accelerations(&pendulum->c, x[1], x[2], x[3], pendulum->torque, 0.0, &dx[2], &dx[3]);
+    pendulum_accelerations(pendulum->c, pendulum->c->D_r, x[1], x[2], x[3], pendulum->torque, 0.0, &dx[2], &dx[3]);
     dx[4] = 0.0; /* no motor's state */
 }
 
-/* The state after h under a held voltage: one classical Runge-Kutta step. */
-static void predict(const ihc_params *m, const double x[4], double voltage, double h, double y[4])
+/* The state after a sample under a held voltage: one classical Runge-Kutta step. */
+static void predict(const ihc_params *m, const ihc_prepared *q, const double x[4], double voltage, double y[4])
 {
-    const held_pendulum pendulum = {nominal_pendulum(m), m->nominal_torque_per_volt * voltage};
+    const held_pendulum pendulum = {&q->pendulum, m->nominal_torque_per_volt * voltage};
     double state[PENDULUM_MOST_STATES] = {x[0], x[1], x[2], x[3], 0.0};
-    pendulum_rk4_step(held_rate, &pendulum, state, h);
+    pendulum_rk4_step(held_rate, &pendulum, state, m->sample_time);
     for (int i = 0; i < 4; i++) {
         y[i] = state[i];
     }
@@ -116,7 +114,7 @@ static double filter_velocity(double cutoff, double decay, double *lag, double a
 static void observe(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double theta, double delta)
 {
     double y[4];
-    predict(p, s->observed, s->voltage, p->sample_time, y);
+    predict(p, q, s->observed, s->voltage, y);
     const double e_theta = theta - y[0], e_delta = delta - y[1];
     s->observed[0] = flushed(y[0] + q->observer_gain[0] * e_theta, LEAST_ESTIMATE);
     s->observed[1] = flushed(y[1] + q->observer_gain[0] * e_delta, LEAST_ESTIMATE);
@@ -128,7 +126,7 @@ static void observe(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
 static void kalman_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double theta, double delta)
 {
     double y[4], corrections[6];
-    predict(p, s->observed, s->voltage + s->disturbance, p->sample_time, y);
+    predict(p, q, s->observed, s->voltage + s->disturbance, y);
     const double bias = s->bias * q->bias_decay;
     const double e_1 = theta - y[0], e_2 = delta - (y[1] + bias);
     for (int i = 0; i < 6; i++) {
@@ -181,8 +179,8 @@ ihc_status ihc_prepare(const ihc_params *p, ihc_prepared *q)
     if (p->a_min > p->b_max) {
         return IHC_LIMITS;
     }
-    const pendulum_coefficients pendulum = nominal_pendulum(p);
-    if (!pendulum_is_regular(&pendulum)) {
+    q->pendulum = nominal_pendulum(p);
+    if (!pendulum_is_regular(&q->pendulum)) {
         return IHC_SINGULAR_MODEL;
     }
     if (p->capture_angle > p->fall_back_angle) {
@@ -302,7 +300,7 @@ static int32_t next_mode(const ihc_params *p, int32_t mode, double level, double
     return p->swing_up_enabled ? IHC_MODE_SWING_UP : IHC_MODE_IDLE;
 }
 
-static double swing_up_voltage(const ihc_params *p, const double x[N])
+static double swing_up_voltage(const ihc_params *p, const ihc_prepared *q, const double x[N])
 {
     const double c = cos(x[1]);
     const double energy = 0.5 * p->nominal_pendulum_inertia * x[3] * x[3]
@@ -312,7 +310,7 @@ static double swing_up_voltage(const ihc_params *p, const double x[N])
     const double limit = p->swing_up_acceleration_limit;
     double wanted = clamp(-p->swing_up_energy_gain * energy * direction, -limit, limit);
     wanted -= p->swing_up_arm_stiffness * x[0] + p->swing_up_arm_damping * x[2];
-    return voltage_for(p, x[1], x[2], x[3], wanted);
+    return voltage_for(p, &q->pendulum, x[1], x[2], x[3], wanted);
 }
 
 static double stabilizing_voltage(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const double x[N],
@@ -399,7 +397,7 @@ static ihc_status sample(const ihc_params *p, const ihc_prepared *q, ihc_state *
         s->integral = 0.0;
     }
     if (s->mode == IHC_MODE_SWING_UP) {
-        command = swing_up_voltage(p, x);
+        command = swing_up_voltage(p, q, x);
     } else if (s->mode == IHC_MODE_STABILIZING) {
         command = stabilizing_voltage(p, q, s, x, &chain);
         if (p->compensate_disturbance) {

@@ -20,6 +20,7 @@
 #define HOMOGENEOUS_INPUTS 1
 #define HOMOGENEOUS_CHAIN 1
 #include "homogeneous.h"
+#include "rotary_pendulum.h"
 #include "sample_clock.h"
 
 typedef enum {
@@ -101,12 +102,13 @@ typedef struct {
 
 /* What follows from the parameters alone; made by ihc_prepare, again after a parameter changed. */
 typedef struct {
-    block_design design;     /* in chain coordinates */
-    norm_search search;      /* how the norm in the law is found */
-    double ahead;            /* sample time of the semi-implicit law; 0: explicit [s] */
-    double decay;            /* of the velocity filter over a sample [1] */
-    double observer_gain[2]; /* on the angle [1] and the velocity [1/s] */
-    double bias_decay;       /* over a sample [1] */
+    block_design design;            /* in chain coordinates */
+    pendulum_coefficients pendulum; /* the nominal model */
+    norm_search search;             /* how the norm in the law is found */
+    double ahead;                   /* sample time of the semi-implicit law; 0: explicit [s] */
+    double decay;                   /* of the velocity filter over a sample [1] */
+    double observer_gain[2];        /* on the angle [1] and the velocity [1/s] */
+    double bias_decay;              /* over a sample [1] */
 } ihc_prepared;
 
 /* Everything that changes during a run. */

@@ -4,43 +4,81 @@
 
 static const double PI = 3.14159265358979323846;
 
-qube_coefficients qube_lump(const qube_params *p)
+static int has_inductance(const qube_params *p)
 {
-    const double zeta = p->m_p * (p->L_p * p->L_p);
-    qube_coefficients c;
-    c.pendulum.J_11 = p->J_r + p->m_p * (p->L_r * p->L_r);
-    c.pendulum.J_22 = p->J_p + zeta / 4.0;
-    c.pendulum.zeta_4 = zeta / 4.0;
-    c.pendulum.varpi_2 = p->m_p * p->L_p * p->L_r / 2.0;
-    c.pendulum.gravity = p->m_p * p->g_p * p->L_p / 2.0;
-    c.pendulum.D_r = p->D_r;
-    c.pendulum.T_r = p->T_r;
-    c.pendulum.D_p = p->D_p;
-    c.k_m = p->k_m;
-    c.k_e = p->back_emf ? p->k_m : 0.0;
-    c.R_m = p->R_m;
-    c.L_m = p->L_m;
-    return c;
+    return p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
 }
 
-void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
-              double pendulum_torque, double dx[QUBE_STATES])
+qube_status qube_prepare(const qube_params *p, qube_prepared *q)
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
-    const double tau = inductance ? c->k_m * x[4] : c->k_m * (voltage - c->k_e * x[2]) / c->R_m;
+    volatile const int divisor = p->encoder_counts > 0 ? p->encoder_counts : 1; /* compilers divide before they know */
+    const double zeta = p->m_p * (p->L_p * p->L_p);
+    pendulum_coefficients *c = &q->pendulum;
+    c->J_11 = p->J_r + p->m_p * (p->L_r * p->L_r);
+    c->J_22 = p->J_p + zeta / 4.0;
+    c->zeta_4 = zeta / 4.0;
+    c->varpi_2 = p->m_p * p->L_p * p->L_r / 2.0;
+    c->gravity = p->m_p * p->g_p * p->L_p / 2.0;
+    c->D_r = p->D_r;
+    c->T_r = p->T_r;
+    c->D_p = p->D_p;
+    q->k_e = p->back_emf ? p->k_m : 0.0;
+    q->longest_substep = p->solver_step;
+    if (has_inductance(p)) {
+        q->longest_substep = fmin(q->longest_substep, p->L_m / p->R_m / (double)QUBE_STEPS_PER_TIME_CONSTANT);
+    }
+    q->resolution = 2.0 * PI / divisor;
+    return pendulum_is_regular(c) ? QUBE_OK : QUBE_SINGULAR;
+}
+
+/* The plant under held inputs. */
+typedef struct {
+    const qube_params *p;
+    const qube_prepared *q;
+    double voltage, tau_p;
+} held_plant;
+
+/* x' = f(x, V, tau_p) for the static motor (eq. (5), section III). */
+PENDULUM_INLINE void static_rate(const void *model, const double x[QUBE_STATES], double dx[QUBE_STATES])
+{
+    const held_plant *h = model;
+    const pendulum_coefficients *c = &h->q->pendulum;
+    const double tau = h->p->k_m * (h->voltage - h->q->k_e * x[2]) / h->p->R_m;
     dx[0] = x[2];
     dx[1] = x[3];
-    pendulum_accelerations(&c->pendulum, x[1], x[2], x[3], tau, pendulum_torque, &dx[2], &dx[3]);
-    dx[4] = inductance ? (voltage - c->R_m * x[4] - c->k_e * x[2]) / c->L_m : 0.0;
+    pendulum_accelerations(c, pendulum_damping(c, x[2]), x[1], x[2], x[3], tau, h->tau_p, &dx[2], &dx[3]);
+    dx[4] = 0.0;
 }
 
-/* Derivative of qube_rhs in the direction of dx, dvoltage and dtorque; x' itself is given as `rate`. */
-static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES],
+/* The same with inductance. */
+static void inductance_rate(const void *model, const double x[QUBE_STATES], double dx[QUBE_STATES])
+{
+    const held_plant *h = model;
+    const pendulum_coefficients *c = &h->q->pendulum;
+    dx[0] = x[2];
+    dx[1] = x[3];
+    pendulum_accelerations(c, pendulum_damping(c, x[2]), x[1], x[2], x[3], h->p->k_m * x[4], h->tau_p, &dx[2], &dx[3]);
+    dx[4] = (h->voltage - h->p->R_m * x[4] - h->q->k_e * x[2]) / h->p->L_m;
+}
+
+/* x' under the inputs that were held last. */
+static void rate_of(const qube_params *p, const qube_prepared *q, const qube_state *s, double dx[QUBE_STATES])
+{
+    const held_plant plant = {p, q, s->applied_voltage, s->applied_torque};
+    if (has_inductance(p)) {
+        inductance_rate(&plant, s->x, dx);
+    } else {
+        static_rate(&plant, s->x, dx);
+    }
+}
+
+/* Derivative of x' in the direction of dx, dvoltage and dtorque; x' itself is given as `rate`. */
+static void rate_tangent(const qube_params *p, const qube_prepared *q, const double x[QUBE_STATES],
                         double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
                         double dvoltage, double dtorque, double out[QUBE_STATES])
 {
-    const int inductance = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE;
-    const pendulum_coefficients *e = &c->pendulum;
+    const int inductance = has_inductance(p);
+    const pendulum_coefficients *e = &q->pendulum;
     const double s = sin(x[1]), k = cos(x[1]), ds = k * dx[1], dk = -s * dx[1];
     const double v = x[2], w = x[3], dv = dx[2], dw = dx[3];
     const double j_11 = e->J_11 + e->zeta_4 * s * s, dj_11 = 2.0 * e->zeta_4 * s * ds;
@@ -50,7 +88,7 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
     /* M(q) q'' = r, so r follows from the accelerations */
     const double r_1 = j_11 * rate[2] + j_12 * rate[3];
     const double r_2 = pendulum_torque + sk * v * v - e->D_p * w + e->gravity * s;
-    const double dtau = inductance ? c->k_m * dx[4] : c->k_m * (dvoltage - c->k_e * dv) / c->R_m;
+    const double dtau = inductance ? p->k_m * dx[4] : p->k_m * (dvoltage - q->k_e * dv) / p->R_m;
     const double slow = fabs(v) + PENDULUM_FRICTION_SPEED,
                  slope = e->D_r + e->T_r * PENDULUM_FRICTION_SPEED / (slow * slow);
     const double dr_1 = dtau - 2.0 * (dsk * w + sk * dw) * v - (2.0 * sk * w + slope) * dv
@@ -60,7 +98,7 @@ static void rhs_tangent(const qube_params *p, const qube_coefficients *c, const 
     out[1] = dw;
     out[2] = (e->J_22 * dr_1 - j_12 * dr_2 - dj_12 * r_2 - rate[2] * ddeterminant) / determinant;
     out[3] = (j_11 * dr_2 + dj_11 * r_2 - j_12 * dr_1 - dj_12 * r_1 - rate[3] * ddeterminant) / determinant;
-    out[4] = inductance ? (dvoltage - c->R_m * dx[4] - c->k_e * dv) / c->L_m : 0.0;
+    out[4] = inductance ? (dvoltage - p->R_m * dx[4] - q->k_e * dv) / p->L_m : 0.0;
 }
 
 /* SplitMix64 (Steele, Lea and Flood, OOPSLA 2014). */
@@ -82,22 +120,20 @@ static double next_gaussian(uint64_t *state)
 }
 
 /* What an encoder reports: r floor(angle/r + offset), r = 2 pi/counts. */
-static double quantize(double angle, int counts, double offset)
+static double quantize(const qube_params *p, const qube_prepared *q, double angle, double offset)
 {
-    volatile const int divisor = counts > 0 ? counts : 1; /* compilers compute a quotient before they know its use */
-    const double resolution = 2.0 * PI / divisor;
-    return counts > 0 ? resolution * floor(angle / resolution + offset) : angle;
+    return p->encoder_counts > 0 ? q->resolution * floor(angle / q->resolution + offset) : angle;
 }
 
-static double measure(const qube_params *p, uint64_t *random_state, double angle, double offset)
+static double measure(const qube_params *p, const qube_prepared *q, uint64_t *random_state, double angle, double offset)
 {
     if (p->noise_std != 0.0) {
         angle += p->noise_std * next_gaussian(random_state);
     }
-    return quantize(angle, p->encoder_counts, offset);
+    return quantize(p, q, angle, offset);
 }
 
-static void append_measurement(const qube_params *p, qube_state *s)
+static void append_measurement(const qube_params *p, const qube_prepared *q, qube_state *s)
 {
     const int32_t capacity = QUBE_MAX_DELAY + 1;
     while (s->count > s->delay_steps) {
@@ -105,27 +141,24 @@ static void append_measurement(const qube_params *p, qube_state *s)
         s->count--;
     }
     double *entry = s->delay_line[(s->oldest + s->count) % capacity];
-    entry[0] = measure(p, &s->random_state, s->x[0], p->theta_encoder_offset);
-    entry[1] = measure(p, &s->random_state, s->x[1], p->delta_encoder_offset);
+    entry[0] = measure(p, q, &s->random_state, s->x[0], p->theta_encoder_offset);
+    entry[1] = measure(p, q, &s->random_state, s->x[1], p->delta_encoder_offset);
     s->count++;
 }
 
-qube_status qube_initialize(const qube_params *p, qube_state *s)
+qube_status qube_initialize(const qube_params *p, const qube_prepared *q, qube_state *s)
 {
     static const qube_state zero;
-    const qube_coefficients c = qube_lump(p);
     qube_outputs y;
-    if (!pendulum_is_regular(&c.pendulum)) {
-        return QUBE_SINGULAR;
-    }
     *s = zero;
     s->x[0] = p->theta_0;
     s->x[1] = p->delta_0;
     s->x[2] = p->theta_dot_0;
     s->x[3] = p->delta_dot_0;
     s->random_state = (uint64_t)p->noise_seed;
-    append_measurement(p, s);
-    qube_get_outputs(p, s, &y);
+    append_measurement(p, q, s);
+    qube_get_outputs(s, &y);
+    qube_derive_outputs(p, q, s, &y);
     return isfinite(y.theta + y.delta + y.theta_dot + y.delta_dot + y.theta_encoder + y.delta_encoder + y.current
                     + y.motor_torque + y.energy + y.theta_ddot + y.delta_ddot + y.current_dot)
         ? QUBE_OK
@@ -154,19 +187,6 @@ static double flushed(double value)
     return fabs(value) > 0.0 && fabs(value) < QUBE_LEAST ? 0.0 : value;
 }
 
-/* A plant under held inputs. */
-typedef struct {
-    const qube_params *p;
-    const qube_coefficients *c;
-    double voltage, tau_p;
-} held_plant;
-
-static void held_rate(const void *model, const double x[QUBE_STATES], double dx[QUBE_STATES])
-{
-    const held_plant *plant = model;
-    qube_rhs(plant->p, plant->c, x, plant->voltage, plant->tau_p, dx);
-}
-
 /* The smallest number of equal substeps of `step` that are not longer than `largest`, up to rounding. */
 static double substeps(double step, double largest)
 {
@@ -174,18 +194,13 @@ static double substeps(double step, double largest)
     return count > 1.0 ? count : 1.0;
 }
 
-qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u, double step)
+qube_status qube_step(const qube_params *p, const qube_prepared *q, qube_state *s, const qube_inputs *u, double step)
 {
-    const qube_coefficients c = qube_lump(p);
-    double longest = p->solver_step;
     int32_t delay_steps = 0;
     if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
         return QUBE_INPUT_NOT_FINITE;
     }
-    if (p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE) {
-        longest = fmin(longest, p->L_m / p->R_m / (double)QUBE_STEPS_PER_TIME_CONSTANT);
-    }
-    const double count = substeps(step, longest);
+    const double count = substeps(step, q->longest_substep);
     if (count > (double)QUBE_MAX_SUBSTEPS) {
         return QUBE_TOO_MANY_SUBSTEPS;
     }
@@ -202,13 +217,17 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
     const double tau_p = flushed(u->pendulum_torque);
     const double h = step / count;
     const int steps = (int)fmin(count, (double)QUBE_MAX_SUBSTEPS);
-    const held_plant plant = {p, &c, voltage, tau_p};
+    const held_plant plant = {p, q, voltage, tau_p};
     double x[QUBE_STATES], sum = 0.0;
     for (int i = 0; i < QUBE_STATES; i++) {
         x[i] = s->x[i];
     }
     for (int i = 0; i < steps; i++) {
-        pendulum_rk4_step(held_rate, &plant, x, h);
+        if (has_inductance(p)) {
+            pendulum_rk4_step(inductance_rate, &plant, x, h);
+        } else {
+            pendulum_rk4_step(static_rate, &plant, x, h);
+        }
     }
     for (int i = 0; i < QUBE_STATES; i++) {
         sum += x[i] * x[i]; /* as in the energy */
@@ -225,25 +244,27 @@ qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u,
         s->delay_steps = delay_steps;
         s->delayed_step = step;
     }
-    append_measurement(p, s);
+    append_measurement(p, q, s);
     return QUBE_OK;
 }
 
-void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y)
+void qube_get_outputs(const qube_state *s, qube_outputs *y)
 {
-    const qube_coefficients c = qube_lump(p);
-    double rate[QUBE_STATES];
-    qube_rhs(p, &c, s->x, s->applied_voltage, s->applied_torque, rate);
     y->theta = s->x[0];
     y->delta = s->x[1];
     y->theta_dot = s->x[2];
     y->delta_dot = s->x[3];
     y->theta_encoder = s->delay_line[s->oldest][0];
     y->delta_encoder = s->delay_line[s->oldest][1];
-    y->current =
-        p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? s->x[4] : (s->applied_voltage - c.k_e * s->x[2]) / c.R_m;
-    y->motor_torque = c.k_m * y->current;
-    y->energy = pendulum_energy(&c.pendulum, y->delta, y->theta_dot, y->delta_dot);
+}
+
+void qube_derive_outputs(const qube_params *p, const qube_prepared *q, const qube_state *s, qube_outputs *y)
+{
+    double rate[QUBE_STATES];
+    rate_of(p, q, s, rate);
+    y->current = has_inductance(p) ? s->x[4] : (s->applied_voltage - q->k_e * s->x[2]) / p->R_m;
+    y->motor_torque = p->k_m * y->current;
+    y->energy = pendulum_energy(&q->pendulum, s->x[1], s->x[2], s->x[3]);
     y->theta_ddot = rate[2];
     y->delta_ddot = rate[3];
     y->current_dot = rate[4];
@@ -251,10 +272,10 @@ void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y
 
 int qube_state_count(const qube_params *p)
 {
-    return p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? QUBE_STATES : QUBE_STATES - 1;
+    return has_inductance(p) ? QUBE_STATES : QUBE_STATES - 1;
 }
 
-qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
+qube_status qube_hold(const qube_params *p, const qube_prepared *q, qube_state *s, const qube_inputs *u)
 {
     double *entry = s->delay_line[s->oldest];
     if (!isfinite(u->voltage + u->disturbance_voltage + u->pendulum_torque)) {
@@ -262,31 +283,30 @@ qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u)
     }
     s->applied_voltage = flushed(clamp(u->voltage + u->disturbance_voltage, p->voltage_limit));
     s->applied_torque = flushed(u->pendulum_torque);
-    entry[0] = quantize(s->x[0], p->encoder_counts, p->theta_encoder_offset);
-    entry[1] = quantize(s->x[1], p->encoder_counts, p->delta_encoder_offset);
+    entry[0] = quantize(p, q, s->x[0], p->theta_encoder_offset);
+    entry[1] = quantize(p, q, s->x[1], p->delta_encoder_offset);
     return QUBE_OK;
 }
 
-void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *u, const double dx[QUBE_STATES],
-                  const qube_inputs *du, qube_outputs *dy)
+void qube_tangent(const qube_params *p, const qube_prepared *q, const qube_state *s, const qube_inputs *u,
+                  const double dx[QUBE_STATES], const qube_inputs *du, qube_outputs *dy)
 {
-    const qube_coefficients c = qube_lump(p);
-    const pendulum_coefficients *e = &c.pendulum;
+    const pendulum_coefficients *e = &q->pendulum;
     const double free = fabs(u->voltage + u->disturbance_voltage) < p->voltage_limit ? 1.0 : 0.0;
     const double dvoltage = free * (du->voltage + du->disturbance_voltage);
     const double seen = p->encoder_counts == 0 ? 1.0 : 0.0;
     const double sine = sin(s->x[1]), cosine = cos(s->x[1]), v = s->x[2], w = s->x[3];
     double rate[QUBE_STATES], drate[QUBE_STATES];
-    qube_rhs(p, &c, s->x, s->applied_voltage, s->applied_torque, rate);
-    rhs_tangent(p, &c, s->x, s->applied_torque, rate, dx, dvoltage, du->pendulum_torque, drate);
+    rate_of(p, q, s, rate);
+    rate_tangent(p, q, s->x, s->applied_torque, rate, dx, dvoltage, du->pendulum_torque, drate);
     dy->theta = dx[0];
     dy->delta = dx[1];
     dy->theta_dot = dx[2];
     dy->delta_dot = dx[3];
     dy->theta_encoder = seen * dx[0];
     dy->delta_encoder = seen * dx[1];
-    dy->current = p->motor_model == QUBE_MOTOR_MODEL_INDUCTANCE ? dx[4] : (dvoltage - c.k_e * dx[2]) / c.R_m;
-    dy->motor_torque = c.k_m * dy->current;
+    dy->current = has_inductance(p) ? dx[4] : (dvoltage - q->k_e * dx[2]) / p->R_m;
+    dy->motor_torque = p->k_m * dy->current;
     dy->energy = (e->zeta_4 * sine * cosine * v * v + e->varpi_2 * sine * v * w - e->gravity * sine) * dx[1]
         + ((e->J_11 + e->zeta_4 * sine * sine) * v - e->varpi_2 * cosine * w) * dx[2]
         + (e->J_22 * w - e->varpi_2 * cosine * v) * dx[3];

@@ -91,39 +91,38 @@ typedef struct {
     double delay_line[QUBE_MAX_DELAY + 1][2]; /* measured theta, delta [rad] */
 } qube_state;
 
-/* What eq. (5) and the motor consist of. */
+/* What follows from the parameters alone; made by qube_prepare. */
 typedef struct {
-    pendulum_coefficients pendulum;
-    double k_m; /* torque constant [N.m/A] */
-    double k_e; /* k_m with back-EMF, 0 without [V.s/rad] */
-    double R_m; /* [Ohm] */
-    double L_m; /* [H] */
-} qube_coefficients;
+    pendulum_coefficients pendulum; /* what eq. (5) consists of */
+    double k_e;                     /* k_m with back-EMF, 0 without [V.s/rad] */
+    double longest_substep;         /* solver_step, or less for the inductance [s] */
+    double resolution;              /* of the encoders; not used for ideal sensors [rad] */
+} qube_prepared;
 
-qube_coefficients qube_lump(const qube_params *p);
+/* Compute what follows from the parameters; QUBE_SINGULAR for constants that eq. (5) does not admit. */
+qube_status qube_prepare(const qube_params *p, qube_prepared *q);
 
-/* x' = f(x, V, tau_p), the first four entries for the static motor, all five with inductance (eq. (5), section III). */
-void qube_rhs(const qube_params *p, const qube_coefficients *c, const double x[QUBE_STATES], double voltage,
-              double pendulum_torque, double dx[QUBE_STATES]);
-
-/* Set the initial state; QUBE_SINGULAR for constants that eq. (5) does not admit, QUBE_OUTPUT_NOT_FINITE for numbers
- * beyond reason. */
-qube_status qube_initialize(const qube_params *p, qube_state *s);
+/* Set the initial state; QUBE_OUTPUT_NOT_FINITE for numbers beyond reason. */
+qube_status qube_initialize(const qube_params *p, const qube_prepared *q, qube_state *s);
 
 /* Advance by `step` [s] with the inputs held, by equal Runge-Kutta steps no longer than solver_step. */
-qube_status qube_step(const qube_params *p, qube_state *s, const qube_inputs *u, double step);
+qube_status qube_step(const qube_params *p, const qube_prepared *q, qube_state *s, const qube_inputs *u, double step);
 
-void qube_get_outputs(const qube_params *p, const qube_state *s, qube_outputs *y);
+/* The outputs up to the encoders. */
+void qube_get_outputs(const qube_state *s, qube_outputs *y);
+
+/* The other outputs, from the current on. */
+void qube_derive_outputs(const qube_params *p, const qube_prepared *q, const qube_state *s, qube_outputs *y);
 
 /* Number of continuous states: 4, or 5 with inductance. */
 int qube_state_count(const qube_params *p);
 
 /* Model exchange: take the inputs as held from now on, and measure the angles again, without noise or delay. */
-qube_status qube_hold(const qube_params *p, qube_state *s, const qube_inputs *u);
+qube_status qube_hold(const qube_params *p, const qube_prepared *q, qube_state *s, const qube_inputs *u);
 
-/* Derivative of qube_hold and qube_get_outputs in the direction (dx, du); encoders are constant where they count. */
-void qube_tangent(const qube_params *p, const qube_state *s, const qube_inputs *u, const double dx[QUBE_STATES],
-                  const qube_inputs *du, qube_outputs *dy);
+/* Derivative of qube_hold and all outputs in the direction (dx, du); encoders are constant where they count. */
+void qube_tangent(const qube_params *p, const qube_prepared *q, const qube_state *s, const qube_inputs *u,
+                  const double dx[QUBE_STATES], const qube_inputs *du, qube_outputs *dy);
 
 /* Whether indices inside a restored state lie within their arrays. */
 int qube_state_is_valid(const qube_state *s);

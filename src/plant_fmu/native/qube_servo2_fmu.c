@@ -11,31 +11,33 @@ FMU_PRIVATE_END
 
 static int prepare(const void *parameters, void *prepared)
 {
-    (void)parameters;
-    (void)prepared;
-    return QUBE_OK;
+    return (int)qube_prepare(parameters, prepared);
 }
 
 static int initialize(const void *parameters, const void *prepared, void *state, double time, const void *inputs)
 {
-    (void)prepared;
     (void)time;
     (void)inputs;
-    return (int)qube_initialize(parameters, state);
+    return (int)qube_initialize(parameters, prepared, state);
 }
 
 static int step(const void *parameters, const void *prepared, void *state, double time, double length,
                 const void *inputs)
 {
-    (void)prepared;
     (void)time;
-    return (int)qube_step(parameters, state, inputs, length);
+    return (int)qube_step(parameters, prepared, state, inputs, length);
 }
 
 static void get_outputs(const void *parameters, const void *prepared, const void *state, void *outputs)
 {
+    (void)parameters;
     (void)prepared;
-    qube_get_outputs(parameters, state, outputs);
+    qube_get_outputs(state, outputs);
+}
+
+static void derive_outputs(const void *parameters, const void *prepared, const void *state, void *outputs)
+{
+    qube_derive_outputs(parameters, prepared, state, outputs);
 }
 
 static int state_is_valid(const void *state)
@@ -56,15 +58,13 @@ static double *states(void *state)
 
 static int hold(const void *parameters, const void *prepared, void *state, const void *inputs)
 {
-    (void)prepared;
-    return (int)qube_hold(parameters, state, inputs);
+    return (int)qube_hold(parameters, prepared, state, inputs);
 }
 
 static void tangent(const void *parameters, const void *prepared, const void *state, const void *inputs,
                     const double *dx, const void *dinputs, void *doutputs)
 {
-    (void)prepared;
-    qube_tangent(parameters, state, inputs, dx, dinputs, doutputs);
+    qube_tangent(parameters, prepared, state, inputs, dx, dinputs, doutputs);
 }
 
 static const char *objection(const void *parameters)
@@ -144,12 +144,14 @@ const fmu_unit fmu_the_unit = {
     .parameters_size = sizeof(qube_params),
     .inputs_size = sizeof(qube_inputs),
     .outputs_size = sizeof(qube_outputs),
-    .prepared_size = 0,
+    .prepared_size = sizeof(qube_prepared),
     .state_size = sizeof(qube_state),
     .prepare = prepare,
     .initialize = initialize,
     .step = step,
     .get_outputs = get_outputs,
+    .derive_outputs = derive_outputs,
+    .first_derived = offsetof(qube_outputs, current),
     .state_is_valid = state_is_valid,
     .explain = explain,
     .continuous = &CONTINUOUS,

@@ -12,6 +12,13 @@
 
 #include <math.h>
 
+/* What a step runs through four times is compiled in its place. */
+#if defined __GNUC__
+#define PENDULUM_INLINE static inline __attribute__((always_inline))
+#else
+#define PENDULUM_INLINE static inline
+#endif
+
 enum { PENDULUM_MOST_STATES = 5 }; /* the pendulum's four and one of a motor */
 
 /* PENDULUM_FRICTION_SPEED, v_s, is among the generated constants of the unit that includes this: at this speed dry
@@ -36,13 +43,18 @@ static inline int pendulum_is_regular(const pendulum_coefficients *c)
     return diagonal - c->varpi_2 * c->varpi_2 > 1e-9 * diagonal;
 }
 
-/* Solve eq. (5) for theta'', delta'' [rad/s2]. */
-static inline void pendulum_accelerations(const pendulum_coefficients *c, double delta, double theta_dot,
-                                          double delta_dot, double tau, double tau_p, double *theta_ddot,
-                                          double *delta_ddot)
+/* Of the arm, D_r + T_r/(|theta'| + v_s) [N.m.s/rad]. */
+static inline double pendulum_damping(const pendulum_coefficients *c, double theta_dot)
+{
+    return c->D_r + c->T_r / (fabs(theta_dot) + PENDULUM_FRICTION_SPEED);
+}
+
+/* Solve eq. (5) for theta'', delta'' [rad/s2], under the arm's damping. */
+static inline void pendulum_accelerations(const pendulum_coefficients *c, double damping, double delta,
+                                          double theta_dot, double delta_dot, double tau, double tau_p,
+                                          double *theta_ddot, double *delta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
-    const double damping = c->D_r + c->T_r / (fabs(theta_dot) + PENDULUM_FRICTION_SPEED);
     const double j_11 = c->J_11 + c->zeta_4 * s * s;
     const double j_12 = -c->varpi_2 * k;
     const double sk = c->zeta_4 * s * k;
@@ -54,11 +66,10 @@ static inline void pendulum_accelerations(const pendulum_coefficients *c, double
 }
 
 /* The torque [N.m] under which the arm accelerates by theta_ddot, tau_p = 0: eq. (5) inverted. */
-static inline double pendulum_arm_torque(const pendulum_coefficients *c, double delta, double theta_dot,
-                                         double delta_dot, double theta_ddot)
+static inline double pendulum_arm_torque(const pendulum_coefficients *c, double damping, double delta,
+                                         double theta_dot, double delta_dot, double theta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
-    const double damping = c->D_r + c->T_r / (fabs(theta_dot) + PENDULUM_FRICTION_SPEED);
     const double j_12 = -c->varpi_2 * k;
     const double sk = c->zeta_4 * s * k;
     const double r_2 = sk * theta_dot * theta_dot - c->D_p * delta_dot + c->gravity * s;
@@ -80,7 +91,7 @@ static inline double pendulum_energy(const pendulum_coefficients *c, double delt
 typedef void (*pendulum_rate)(const void *model, const double x[PENDULUM_MOST_STATES], double dx[PENDULUM_MOST_STATES]);
 
 /* One classical Runge-Kutta step of length h [s] of all PENDULUM_MOST_STATES entries of x. */
-static inline void pendulum_rk4_step(pendulum_rate f, const void *model, double x[PENDULUM_MOST_STATES], double h)
+PENDULUM_INLINE void pendulum_rk4_step(pendulum_rate f, const void *model, double x[PENDULUM_MOST_STATES], double h)
 {
     double k1[PENDULUM_MOST_STATES], k2[PENDULUM_MOST_STATES], k3[PENDULUM_MOST_STATES], k4[PENDULUM_MOST_STATES];
     double y[PENDULUM_MOST_STATES];
