@@ -43,11 +43,11 @@ typedef struct {
     void *parameters, *inputs, *outputs, *prepared, *state;
     const unsigned char *derived;  /* where outputs begin that are computed when asked for; the block's end for none */
     const unsigned char *outdated; /* where those begin that are older than the state; the block's end for none */
-    unsigned char *spare; /* room for the block up to the state, before a change */
-    void **where;         /* address of each variable */
-    void **of_type[3];    /* the same of those of one fmu_type that are shown, NULL for others */
-    void **plain;         /* the same of real inputs without bounds */
-    size_t states;        /* continuous states in model exchange */
+    unsigned char *spare;          /* room for the block up to the state, before a change */
+    void **where;                  /* address of each variable */
+    void **of_type[3];             /* the same of those of one fmu_type that are shown, NULL for others */
+    void **plain;                  /* the same of real inputs without bounds */
+    size_t states;                 /* continuous states in model exchange */
 } fmu_instance;
 
 /* A copy of an instance's block and progress. */

@@ -713,8 +713,9 @@ static inline void homogeneous_law(const block_design *d, double r, double h, co
 
 /* ---- Super-twisting ---------------------------------------------------------------------------------------------- */
 
-/* w = -k_1 |s|^(1/2) sign(s) + v, v' = -k_2 sign(s), k_1 = 1.5 sqrt(rate), k_2 = 1.1 rate, by Euler's method for samples of
- * h, explicit, or implicit with a linear sign where |s| < 4 h^2 k_2; returns w, and the next v in `moved`. */
+/* w = -k_1 |s|^(1/2) sign(s) + v, v' = -k_2 sign(s), k_1 = 1.5 sqrt(rate), k_2 = 1.1 rate, by Euler's method for
+ * samples of h, explicit, or implicit with a linear sign where |s| < 4 h^2 k_2; returns w, and the next v in `moved`.
+ */
 static inline double super_twisting(double s, double v, double rate, double h, int implicit, double *moved)
 {
     const double k_1 = STA_PROPORTIONAL * sqrt(rate), turn = h * (STA_INTEGRAL * rate);

@@ -357,9 +357,7 @@ static int command(const regulator_params *p, const regulator_prepared *q, regul
     for (int i = 0; i < m; i++) {
         s->command[i] = clamp(u[i], p->lower[i], p->upper[i]);
     }
-    const int advanced = twists      ? integrated(p, s, moved, u)
-        : q->integrates ? integrate(p, q, s, state, u)
-                        : 1;
+    const int advanced = twists ? integrated(p, s, moved, u) : q->integrates ? integrate(p, q, s, state, u) : 1;
     return advanced ? REGULATOR_OK : fail(q, s, REGULATOR_FAULT_NON_FINITE_CONTROL);
 }
 

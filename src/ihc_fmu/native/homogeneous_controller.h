@@ -1,6 +1,7 @@
 /* Stabilization of any linear model of up to 16 states, 8 inputs and 16 measured outputs: state estimation by a linear
- * Kalman filter or a homogeneous observer, set-points, the linear, implicit homogeneous or super-twisting law, compensation of
- * estimated disturbances, integral action, limits, faults. What is sampled, and when, is the sample clock's.
+ * Kalman filter or a homogeneous observer, set-points, the linear, implicit homogeneous or super-twisting law,
+ * compensation of estimated disturbances, integral action, limits, faults. What is sampled, and when, is the sample
+ * clock's.
  *
  * At each sample, with deviations x, y, u from the equilibrium of the model and set-points r:
  *     e = x - Nx r,  r_d = ||e||_d,  u = law(e) + Nu r - d + v,  v' = r_d^(1-2 mu) K_i d(-ln r_d) e

@@ -20,7 +20,8 @@ static double sliding_mode(const ihc_params *p, const double x[N])
 static double super_twisting_voltage(const ihc_params *p, const ihc_prepared *q, ihc_state *s, const double x[N])
 {
     double moved;
-    const double w = super_twisting(dot(p->sta_c, x, N), s->integral, p->sta_rate, p->sample_time, q->ahead > 0.0, &moved);
+    const double w =
+        super_twisting(dot(p->sta_c, x, N), s->integral, p->sta_rate, p->sample_time, q->ahead > 0.0, &moved);
     const double command = dot(p->sta_k, x, N) + w;
     const double wanted = p->compensate_disturbance ? command - s->disturbance : command;
     if (!winds_up(wanted, moved - s->integral, -p->voltage_limit, p->voltage_limit)) {

@@ -1,5 +1,6 @@
 /* Swing-up and stabilization of a rotary pendulum: the C twin of ihc_fmu (LC, first-order SMC, super-twisting, implicit
- * homogeneous control of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for Linearized Systems").
+ * homogeneous control of D. Cruz-Ortiz et al., "Practical Realization of Implicit Homogeneous Controllers for
+ * Linearized Systems").
  *
  * x = (theta - theta_setpoint, delta, theta', delta'), delta = 0 upright, z = Phi x, w_i = 1 + mu (n - i), s = r^-mu:
  *

@@ -74,8 +74,8 @@ static void rate_of(const qube_params *p, const qube_prepared *q, const qube_sta
 
 /* Derivative of x' in the direction of dx, dvoltage and dtorque; x' itself is given as `rate`. */
 static void rate_tangent(const qube_params *p, const qube_prepared *q, const double x[QUBE_STATES],
-                        double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
-                        double dvoltage, double dtorque, double out[QUBE_STATES])
+                         double pendulum_torque, const double rate[QUBE_STATES], const double dx[QUBE_STATES],
+                         double dvoltage, double dtorque, double out[QUBE_STATES])
 {
     const int inductance = has_inductance(p);
     const pendulum_coefficients *e = &q->pendulum;

@@ -66,8 +66,8 @@ static inline void pendulum_accelerations(const pendulum_coefficients *c, double
 }
 
 /* The torque [N.m] under which the arm accelerates by theta_ddot, tau_p = 0: eq. (5) inverted. */
-static inline double pendulum_arm_torque(const pendulum_coefficients *c, double damping, double delta,
-                                         double theta_dot, double delta_dot, double theta_ddot)
+static inline double pendulum_arm_torque(const pendulum_coefficients *c, double damping, double delta, double theta_dot,
+                                         double delta_dot, double theta_ddot)
 {
     const double s = sin(delta), k = cos(delta);
     const double j_12 = -c->varpi_2 * k;
