@@ -551,9 +551,10 @@ def test_interrupted_half_way_and_repeated_is_as_never_interrupted(fmus, job, tm
     with Journal(tmp_path / "cut", "test") as journal, pytest.raises(KeyboardInterrupt):
         run_numbers(jobs, fmus, journal, Evaluations(), 2, interrupt)
     with Journal(tmp_path / "cut", "test") as journal:
-        assert len(journal.known) == 3
+        kept = len(journal.known)
+        assert 3 <= kept <= 5  # what was under way has ended and is kept too
         found = run_numbers(jobs, fmus, journal, evaluations, 2)
-    assert len(evaluations) == 5
+    assert len(evaluations) == 8 - kept
     with Journal(tmp_path / "whole", "test") as journal:
         whole = run_numbers(jobs, fmus, journal, measured, 1)
     assert {seed: bits(numbers) for seed, numbers in found.items()} == {s: bits(n) for s, n in whole.items()}

@@ -137,7 +137,7 @@ def test_without_a_known_design_neither_scale_nor_gain_is_tuned(cart):
     foreign = TunedController(cart.problem, None)
     assert [t.name for t in foreign.tunables({})] == ["a_min", "b_max"]
     assert foreign.setting({"a_min": 0.5}).design is None
-    with pytest.raises(UserError, match="--gain needs a controller whose design is known"):
+    with pytest.raises(UserError, match="tuning K needs a controller whose design is known"):
         foreign.tunables({}, gain=True)
     moved = dataclasses.replace(cart.problem, scenario=cart.problem.scenario.changed({"controller.start.K_1_1": -5.0}))
     assert TunedController(moved, cart.design).design is None
