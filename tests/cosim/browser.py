@@ -177,12 +177,19 @@ class Tab:
         return result["result"].get("value")
 
     def wait(self, script: str, seconds: float = 30.0) -> Any:
-        """Return what an expression in the page is as soon as that is truthy."""
+        """Return what an expression in the page is as soon as that is truthy; a page that is being loaded has no value."""
         end = time.monotonic() + seconds
-        while not (found := self.value(script)):
-            assert time.monotonic() < end, (script, self.said, self.value("document.body.innerText"))
+        while True:
+            try:
+                found = self.value(script)
+            except AssertionError as error:
+                found, said = None, str(error)
+            else:
+                said = ""
+            if found:
+                return found
+            assert time.monotonic() < end, (script, said, self.said)
             time.sleep(0.02)
-        return found
 
     def press(self, key: str, count: int = 1) -> None:
         """Press a key, where the focus is."""
