@@ -10,6 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from fmu_export.files import FilePath
 from ihc_fmu.arrays import QUIET
 from ihc_fmu.pendulum.supervisor import Mode
 
@@ -53,6 +54,23 @@ def evaluation_in(result: Recording) -> Evaluation:
 @lru_cache(maxsize=64)
 def _kept(text: str) -> Evaluation:
     return checked(Evaluation, json.loads(text), "the result's metadata: evaluation")
+
+
+def check_judged(known: Iterable[str], evaluation: Evaluation | None, fmus: FilePath) -> None:
+    """Raise UserError where a run with the `known` signals has nothing to judge, or lacks what the metrics need.
+
+    `evaluation` None: the pendulum's; `fmus` is the folder of the FMUs, to be named.
+    """
+    if evaluation is not None and not evaluation.errors:
+        raise UserError(
+            "there is nothing to judge: the controller gets no signal of the plant; evaluate.errors names some"
+        )
+    missing = missing_signals(known, evaluation)
+    if missing:
+        raise UserError(
+            f"the metrics need {', '.join(missing)}, which the FMUs in {fmus} do not have as outputs, or the scenario does "
+            "not record; `export --outputs` can name them"
+        )
 
 
 def can_evaluate(result: Recording) -> bool:

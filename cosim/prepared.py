@@ -11,7 +11,7 @@ from fmu_export.files import FilePath
 
 from .errors import UserError
 from .evaluation import Evaluation, pendulum_evaluation
-from .judged_signals import missing_signals
+from .judged_signals import check_judged
 from .master import coupled, step_count
 from .results import Result
 from .rig import Progress, Rig
@@ -99,16 +99,7 @@ class _Form:
         coupling, engine = coupled(system, scenario.run.engine)
         known = coupling.checked_outputs(scenario.record.outputs)
         self.evaluation = self.plan.evaluation() or pendulum_evaluation(known)
-        if not self.evaluation.errors:
-            raise UserError(
-                "there is nothing to judge: the controller gets no signal of the plant; evaluate.errors names some"
-            )
-        missing = missing_signals(known, self.evaluation)
-        if missing:
-            raise UserError(
-                f"the metrics need {', '.join(missing)}, which the FMUs in {fmus} do not have as outputs, or the scenario "
-                "does not record; `export --outputs` can name them"
-            )
+        check_judged(known, self.evaluation, fmus)
         self.signals = list(system.signals)
         run = scenario.run
         steps = step_count(run.step, run.duration)

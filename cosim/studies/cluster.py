@@ -9,7 +9,6 @@ from __future__ import annotations
 import atexit
 import hashlib
 import logging
-import os
 import shutil
 import statistics
 import tempfile
@@ -110,8 +109,8 @@ def run_portion(
     judge: Callable[[Result], T],
     failed: Callable[[Any], T] | None,
     expected: str,
-) -> tuple[str, list[T]]:
-    """Run a portion on a worker; return who it was and what `judge` makes of each run."""
+) -> list[T]:
+    """Run a portion on a worker; return what `judge` makes of each run."""
     if identity() != expected:
         raise UserError(
             f"the cluster's workers must have this version of qube-ihc and its libraries, {expected}, found {identity()}"
@@ -121,9 +120,7 @@ def run_portion(
     if judging is None:
         judging = _own.judging = Judging()
     jobs = [Job(None, scenario, folder, change) for change in changes]
-    return f"{os.uname().nodename if hasattr(os, 'uname') else ''} {os.getpid()}", [
-        judging(job, folder, judge, failed) for job in jobs
-    ]
+    return [judging(job, folder, judge, failed) for job in jobs]
 
 
 @dataclass(eq=False)
@@ -321,7 +318,7 @@ class _Dispatch(Generic[T]):
 
     def _take(self, portion: _Portion[T], future: Future) -> None:
         """Take what a portion has come to, whoever was first."""
-        _, values = future.result()
+        values = future.result()
         portion.done = True
         self.out.discard(portion)
         for other in portion.futures:

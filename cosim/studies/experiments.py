@@ -11,7 +11,7 @@ from fmu_export.files import FilePath
 
 from ..coupling import Coupling
 from ..fmu import Instance
-from ..judged_signals import kept_upright, missing_signals
+from ..judged_signals import check_judged, kept_upright
 from ..metric_meanings import measure_of
 from ..metrics import Metrics, evaluate
 from ..names import is_plain
@@ -93,16 +93,7 @@ def check_names(names: Sequence[str]) -> None:
 def check_outputs(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> None:
     """Raise UserError for a system that cannot be coupled, or whose FMUs lack outputs that the metrics need."""
     system, judged = build_system(scenario, fmus, folder), evaluation(scenario, fmus, folder)
-    if judged is not None and not judged.errors:
-        raise UserError(
-            "there is nothing to judge: the controller gets no signal of the plant; evaluate.errors names some"
-        )
-    missing = missing_signals(Coupling(system).checked_outputs(scenario.record.outputs), judged)
-    if missing:
-        raise UserError(
-            f"the metrics need {', '.join(missing)}, which the FMUs in {fmus} do not have as outputs, or the scenario does "
-            "not record; `export --outputs` can name them"
-        )
+    check_judged(Coupling(system).checked_outputs(scenario.record.outputs), judged, fmus)
 
 
 def _judged(result: Result) -> tuple[bool, Metrics]:
