@@ -190,7 +190,7 @@ def _look_for_the_front(
     from ..studies.pareto_files import WRITTEN_FILES, save
     from ..studies.tunables import TunedController
 
-    controller = TunedController(problem, design)
+    controller = TunedController(problem.scenario, problem.fmus, problem.folder, design)
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         front = pareto(problem, search, controller, grid, journal, workers, report, console.print)
     paths = save(front, problem, target)
@@ -221,7 +221,7 @@ def _search(
     from ..studies.pareto_front import Search, limits_of, objectives_of
     from ..studies.tunables import TunedController, ranges_over
 
-    controller = TunedController(problem, design)
+    controller = TunedController(problem.scenario, problem.fmus, problem.folder, design)
     found = objectives_of(objectives, problem.quantities)
     return Search(
         found, tuple(controller.tunables(ranges_over(over), gain)), limits_of(limit, found), linear=linear, **sizes

@@ -1,5 +1,6 @@
 """The page in a browser, served by the command."""
 
+import re
 import signal
 import time
 
@@ -8,7 +9,9 @@ import pytest
 import cosim
 from tests.cosim.browser import Tab, in_browser
 from tests.cosim.command import started
+from tests.cosim.explore.studied import write_front, write_region
 
+NUMBER = "document.querySelector('input[type=number][aria-label=\"{}\"]').value"
 A_MIN = "document.querySelector('input[type=range][aria-label=a_min]')"
 CELLS = "[...document.querySelectorAll('table.numbers tr')].map(row => [...row.children].map(cell => cell.innerText))"
 CURVES = "[...document.querySelectorAll('.plots canvas')].map(canvas => canvas.toDataURL())"
@@ -19,6 +22,8 @@ DRAWN = "Number(document.querySelector('.seen')?.dataset.drawn)"
 def served(fmus, tmp_path_factory):
     """The command with its page: the process, the address, the folder that it writes to."""
     folder = tmp_path_factory.mktemp("explored")
+    write_region(folder / "results" / "region_tilt")
+    write_front(folder / "results" / "tune_tilt")
     arguments = ("explore", "tilt", "--set", "run.duration=1", "--fmus", fmus, "--no-browser")
     process = started(*arguments, cwd=folder)
     assert process.stdout is not None
@@ -58,6 +63,52 @@ def test_a_slider_moves_the_curves_and_the_metrics_of_the_ihc(tab):
     assert all(a != b for a, b in zip(curves, other_curves, strict=True))
     assert tab.value("document.querySelector('input[aria-label=a_min][type=number]').value") == "0.05"
     assert (tab.said, [url for url in tab.asked if not url.startswith(("http://127.0.0.1:", "data:"))]) == ([], [])
+
+
+@in_browser
+def test_a_click_in_the_map_moves_the_initial_state_and_the_curves(tab):
+    tab.wait("document.querySelectorAll('.map').length === 2")
+    curves, drawn = tab.value(CURVES), tab.value(DRAWN)
+    left, top, width, height = tab.value(
+        "(box => [box.left, box.top, box.width, box.height])(document.querySelector('.map .frame').getBoundingClientRect())"
+    )
+    tab.click(left + 0.6 * width, top + 0.25 * height)
+    tab.wait(f"{DRAWN} > {drawn}")
+    assert float(tab.value(NUMBER.format("delta_0 [rad]"))) == pytest.approx(0.2, abs=0.02)
+    assert float(tab.value(NUMBER.format("delta_dot_0 [rad/s]"))) == pytest.approx(4.0, abs=0.2)
+    assert all(a != b for a, b in zip(curves, tab.value(CURVES), strict=True))
+    cross = tab.value("document.querySelector('.map .cross').getAttribute('transform')")
+    assert [float(n) for n in re.findall(r"[\d.]+", cross)] == pytest.approx([50 + 0.6 * 180, 8 + 0.25 * 160], abs=2.0)
+
+
+@in_browser
+def test_a_click_on_a_point_of_the_front_sets_its_parameters(tab):
+    tab.wait("document.querySelectorAll('.map').length === 2")
+    left, top = tab.value(
+        "(box => [box.left + box.width / 2, box.top + box.height / 2])"
+        "(document.querySelector('.point[aria-label^=chosen] path').getBoundingClientRect())"
+    )
+    tab.click(left + 3, top - 3)
+    tab.wait(f"{NUMBER.format('a_min')} === '0.4'")
+    assert [tab.value(NUMBER.format(name)) for name in ("b_max", "scale of P [V]")] == ["1.5", "2"]
+    tab.wait("!!document.querySelector('.point[aria-label^=chosen] .now')")
+
+
+@in_browser
+def test_two_pages_have_settings_of_their_own(tab, served, tmp_path):
+    moved(tab, "Home")
+    (tmp_path / "other").mkdir()
+    with Tab(tmp_path / "other", served[1]) as other:
+        other.wait(DRAWN)
+        assert other.value(f"{A_MIN}.value") == "0.05"  # a page begins with what was set last
+        moved(other, "End")
+        assert tab.value(f"{A_MIN}.value") == "0.05"
+        before, _, after, _ = moved(tab, "ArrowRight", 40)
+        assert other.value(f"{A_MIN}.value") == "1"
+        assert [row[2] for row in before[1:4]] != [row[2] for row in after[1:4]]
+        assert [row[2] for row in other.value(CELLS)[1:4]] == [
+            row[1] for row in other.value(CELLS)[1:4]
+        ]  # a_min 1: the LC
 
 
 @in_browser

@@ -1,0 +1,404 @@
+"""Maps beside the curves: a region of attraction, a front. A click in them sets values, marks in them show what is set.
+
+A map is drawn by `map.js`, in shares of the axes: 0 at the left and the lower end, 1 at the right and the upper one.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import math
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.image import imsave
+from matplotlib.ticker import LogLocator, MaxNLocator
+
+from fmu_export.errors import UserError
+
+from ..metric_meanings import MetricMeaning
+from ..plots import COLOURS, OTHERS, colours
+from ..scenario import Scenario
+from ..studies.pareto_files import LARGEST_RATIO
+from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE
+from ..studies.region_map import CERTIFIED_LAWS
+from ..unit_definitions import with_unit
+from .adjustables import Adjustable, Group, Slider, decided
+from .study_files import AxisFile, ReadFront, ReadPoint, ReadRegion, read_front, read_region
+
+Array = np.ndarray
+
+TICKS = 4
+"""On an axis, about."""
+MOST_PIXELS = 256
+"""Of a map's picture, along each axis."""
+ROOM = 0.06
+"""Beside the points of a front, as a share of what they extend over."""
+SHADES = "viridis_r"
+"""Of settling times, from 0 to the latest."""
+BEATEN = "#999999"
+
+Metrics = Mapping[str, Mapping[str, float]]
+"""Of the run that is shown, by law and name."""
+
+
+class Map(Protocol):
+    """What a map is to the page."""
+
+    title: str
+    notes: list[str]
+
+    def drawn(self) -> dict[str, Any]:
+        """Return what is drawn, once."""
+        ...
+
+    def marks(self, values: Mapping[str, Any], metrics: Metrics) -> list[dict[str, Any]]:
+        """Return the marks of each panel for what is set and the run's metrics."""
+        ...
+
+    def chosen(self, values: Mapping[str, Any], click: Any) -> dict[str, Any]:
+        """Return the values that are set after a click; UserError for one that is none."""
+        ...
+
+
+@dataclass(frozen=True)
+class Scale:
+    """An axis from `low` to `high`."""
+
+    label: str
+    low: float
+    high: float
+    logarithmic: bool = False
+
+    def share(self, value: float) -> float:
+        """Return where a value lies: 0 at `low`, 1 at `high`."""
+        if self.logarithmic:
+            return math.log(value / self.low) / math.log(self.high / self.low) if value > 0.0 else -math.inf
+        return (value - self.low) / (self.high - self.low)
+
+    def drawn(self) -> dict[str, Any]:
+        """Return the label and the ticks, their places and texts."""
+        locator = LogLocator(subs=(1.0, 2.0, 5.0)) if self.logarithmic else MaxNLocator(TICKS, steps=[1, 2, 5, 10])
+        ticks = [float(v) for v in locator.tick_values(self.low, self.high)]
+        if self.logarithmic and sum(self.low <= v <= self.high for v in ticks) > 2 * TICKS:
+            ticks = [10.0**k for k in range(math.ceil(math.log10(self.low)), math.floor(math.log10(self.high)) + 1)]
+        width = self.high - self.low
+        texts = [(self.share(v), f"{0.0 if abs(v) < 1e-9 * width else v:.6g}".replace("-", "−")) for v in ticks]
+        return {"label": self.label, "ticks": [(at, text) for at, text in texts if -1e-9 <= at <= 1.0 + 1e-9]}
+
+
+class RegionMap:
+    """Where a law brings the plant to rest; a click sets the initial state."""
+
+    title = "region of attraction"
+
+    def __init__(self, region: ReadRegion, members: Mapping[str, Adjustable], base: Scenario, path: Path) -> None:
+        self.region = region
+        self.axes = [_slider_of(axis, members, path) for axis in region.axes]
+        self.laws = list(region.settling)
+        times = np.concatenate([settling.ravel() for settling in self._times()])
+        self.latest = float(np.nanmax(times)) if np.isfinite(times).any() else 1.0
+        x = region.axes[0]
+        self.x = Scale(with_unit(x.name, x.unit), x.low, x.high)
+        y = region.axes[-1]
+        self.y = Scale(with_unit(y.name, y.unit), y.low, y.high)
+        if len(region.axes) == 1:
+            self.y = Scale("settled [s]", 0.0, 1.05 * self.latest)
+        self.notes = ["a click sets the initial state"]
+        if region.opened:
+            self.notes.append("found without the swing-up")
+        differing = _differing(region.scenario, base)
+        if differing:
+            self.notes.append(f"found with other values than the scenario's of {', '.join(differing)}")
+
+    def _times(self) -> list[Array]:
+        two = len(self.region.axes) == 2
+        return [settling if two else settling[1] for settling in self.region.settling.values()]
+
+    def drawn(self) -> dict[str, Any]:
+        """Return a panel for each law; of one axis one with all laws."""
+        shades = colours(self.laws)
+        axes = {"x": self.x.drawn(), "y": self.y.drawn(), "free": True}
+        if len(self.region.axes) == 1:
+            return {"panels": [{"title": ", ".join(self.laws), **axes, **self._curves(shades)}]}
+        outlines = {law: {"d": _outline(np.isfinite(times)), "colour": shades[law]} for law, times in self._maps()}
+        legend = [{"shape": "line", "colour": shades[law], "text": f"boundary, {law}"} for law in self.laws]
+        ball = self._ball()
+        legend += [{"shape": "dashed", "colour": "", "text": "certified ball"}] if ball else []
+        panels = [
+            {
+                "title": law,
+                **axes,
+                "image": _image(times / self.latest),
+                "lines": [*(outlines[other] for other in sorted(self.laws, key=lambda one: one == law)), *ball],
+                "legend": legend,
+                "shades": {"of": _gradient(), "low": "0", "high": f"{self.latest:.3g}", "text": "settled [s]"},
+            }
+            for law, times in self._maps()
+        ]
+        return {"panels": panels}
+
+    def _maps(self) -> list[tuple[str, Array]]:
+        return list(self.region.settling.items())
+
+    def _curves(self, shades: Mapping[str, str]) -> dict[str, Any]:
+        lines = []
+        for law, (starts, times) in self._maps():
+            at = [(self.x.share(x), self.y.share(y)) for x, y in zip(starts, times, strict=True)]
+            lines.append({"d": _path(at), "colour": shades[law]})
+        legend = [{"shape": "line", "colour": shades[law], "text": law} for law in self.laws]
+        return {"lines": lines, "legend": legend}
+
+    def _ball(self) -> list[dict[str, Any]]:
+        ball = self.region.ball
+        if ball is None or ball.shape[1] != 2 or not {*CERTIFIED_LAWS} & {*self.laws}:
+            return []
+        at = [(self.x.share(x), self.y.share(y)) for x, y in ball]
+        return [{"d": _path(at), "colour": "", "dashed": True}]
+
+    def marks(self, values: Mapping[str, Any], _metrics: Metrics) -> list[dict[str, Any]]:
+        """Return where the initial state lies, the same for each law."""
+        now = [float(values.get(slider.entry, slider.value)) for slider in self.axes]
+        x = self.x.share(now[0])
+        y = self.y.share(now[1]) if len(now) == 2 else None
+        inside = -1e-9 <= x <= 1.0 + 1e-9 and (y is None or -1e-9 <= y <= 1.0 + 1e-9)
+        return [{"cross": [x, y] if inside else None}] * (1 if y is None else len(self.laws))
+
+    def chosen(self, values: Mapping[str, Any], click: Any) -> dict[str, Any]:
+        """Return the values with the initial state of a click."""
+        place = click.get("at") if isinstance(click, Mapping) else None
+        if not (isinstance(place, list) and len(place) == 2 and all(_is_share(share) for share in place)):
+            raise UserError("a click must be in the map")
+        of = (
+            axis.low + min(max(share, 0.0), 1.0) * (axis.high - axis.low)
+            for axis, share in zip(self.region.axes, place, strict=False)
+        )
+        new = (s.taken(float(f"{value:.4g}")) for s, value in zip(self.axes, of, strict=True))
+        return {**values, **{slider.entry: value for slider, value in zip(self.axes, new, strict=True)}}
+
+
+STYLES: Mapping[str, tuple[str, str, str]] = {
+    DOMINATED: ("circle", BEATEN, "beaten when judged"),
+    RETUNED: ("triangle", COLOURS["LC"], "LC, retuned"),
+    RULE: ("square", OTHERS[0], "the paper's rule"),
+    FRONT: ("circle", COLOURS["IHC"], "front"),
+    LC: ("diamond", COLOURS["LC"], "LC"),
+}
+"""Shape, colour and name of the points of a front by what they are, in the order in which they are drawn."""
+
+
+class FrontMap:
+    """What can be had for what; a click on a point sets its parameters."""
+
+    title = "front"
+
+    def __init__(
+        self, front: ReadFront, members: Mapping[str, Adjustable], quantities: Mapping[str, MetricMeaning], path: Path
+    ) -> None:
+        self.front = front
+        self.members = {name: _member_of(name, members, path) for name in front.names}
+        kept = [p for p in front.points if p.kind != LOST]
+        self.points = sorted(kept, key=lambda p: list(STYLES).index(p.kind))
+        if not self.points:
+            raise UserError(f"{path} has no feasible point")
+        self.pairs = list(itertools.combinations(range(len(front.objectives)), 2))
+        self.quantities = quantities
+        self.scales = [
+            _scale_of([p.objectives[k] for p in self.points], quantities[name].heading if name in quantities else name)
+            for k, name in enumerate(front.objectives)
+        ]
+        self.notes = ["a click on a point sets its parameters; ✕: the run that is shown, which is one draw"]
+
+    def drawn(self) -> dict[str, Any]:
+        """Return a panel for each pair of objectives."""
+        kinds = {p.kind for p in self.points}
+        legend = [{"shape": s, "colour": c, "text": text} for kind, (s, c, text) in STYLES.items() if kind in kinds]
+        if any(p.chosen for p in self.points):
+            legend.append({"shape": "ring", "colour": OTHERS[1], "text": "chosen"})
+        names = [scale.label.rpartition(" [")[0] or scale.label for scale in self.scales]
+        return {
+            "panels": [
+                {
+                    "title": f"{names[j]} over {names[i]}",
+                    "x": self.scales[i].drawn(),
+                    "y": self.scales[j].drawn(),
+                    "points": [self._point(number, p, i, j) for number, p in enumerate(self.points)],
+                    "legend": legend,
+                }
+                for i, j in self.pairs
+            ]
+        }
+
+    def _point(self, number: int, p: ReadPoint, i: int, j: int) -> dict[str, Any]:
+        shape, colour, kind = STYLES[p.kind]
+        named = zip(self.front.objectives, self.scales, p.objectives, strict=True)
+        told = ", ".join(f"{scale.label} {value:.4g}" for _, scale, value in named)
+        values = ", ".join(f"{name} {value:.4g}" for name, value in p.values.items())
+        return {
+            "at": [self.scales[k].share(p.objectives[k]) for k in (i, j)],
+            "shape": shape,
+            "colour": colour,
+            "ring": OTHERS[1] if p.chosen else "",
+            "text": f"{'chosen' if p.chosen else kind}: {told}{'; ' if values else ''}{values}",
+            "key": number if p.values else None,
+        }
+
+    def marks(self, values: Mapping[str, Any], metrics: Metrics) -> list[dict[str, Any]]:
+        """Return for each pair the point whose parameters are set, and where the run of the IHC, or of another law, lies."""
+        numbers = [k for k, p in enumerate(self.points) if p.values and self._is_set(p, values)]
+        metrics_of = metrics.get("IHC") or next(iter(metrics.values()), {})
+        run = [metrics_of.get(name, math.nan) for name in self.front.objectives]
+        marks = []
+        for i, j in self.pairs:
+            x, y = (self.scales[k].share(run[k]) if math.isfinite(run[k]) else math.nan for k in (i, j))
+            inside = 0.0 <= x <= 1.0 and 0.0 <= y <= 1.0
+            marks.append({"cross": [x, y] if inside else None, "keys": numbers})
+        return marks
+
+    def _is_set(self, point: ReadPoint, values: Mapping[str, Any]) -> bool:
+        now = {name: values.get(member.entry, member.value) for name, member in self.members.items()}
+        wanted = {
+            name: m.taken(point.values[name]) if name in point.values else m.value for name, m in self.members.items()
+        }
+        return now == wanted
+
+    def chosen(self, values: Mapping[str, Any], click: Any) -> dict[str, Any]:
+        """Return the values with the parameters of a point; what else the search varied is as the scenario has it."""
+        number = click.get("key") if isinstance(click, Mapping) else None
+        if not isinstance(number, int) or not 0 <= number < len(self.points) or not self.points[number].values:
+            raise UserError("a click must be on a point that has parameters")
+        tuned = {member.entry for member in self.members.values()}
+        kept = {entry: value for entry, value in values.items() if entry not in tuned}
+        point = {
+            self.members[name].entry: self.members[name].taken(v) for name, v in self.points[number].values.items()
+        }
+        return {**kept, **point}
+
+
+def maps_of(
+    base: Scenario,
+    members: Mapping[str, Adjustable],
+    quantities: Mapping[str, MetricMeaning],
+    results: Path = Path("results"),
+) -> tuple[list[Map], list[str]]:
+    """Return the maps of a scenario that lie in the results, and sentences on those that are not what they should be."""
+    maps: list[Map] = []
+    said = []
+    region, tuned = results / f"region_{base.name}", results / f"tune_{base.name}"
+    try:
+        found = read_region(region)
+        if found is not None:
+            maps.append(RegionMap(found, members, base, region / "region.json"))
+    except UserError as error:
+        said.append(f"no region of attraction is drawn: {error}")
+    try:
+        front = read_front(tuned)
+        if front is not None:
+            maps.append(FrontMap(front, members, quantities, tuned / "front.csv"))
+    except UserError as error:
+        said.append(f"no front is drawn: {error}")
+    return maps, said
+
+
+def commands_of(
+    groups: Sequence[Group], quantities: Mapping[str, MetricMeaning], laws: Sequence[str], arguments: Sequence[str]
+) -> dict[str, str]:
+    """Return by the titles of maps the command that each comes from; `arguments` name the scenario.
+
+    The region is over the first position that does not start at 0, and its velocity.
+    """
+    found, named = {}, shlex.join(arguments)
+    states = [m for g in groups if g.title == "initial state" for m in g.members if isinstance(m, Slider)]
+    if states:
+        half = len(states) // 2
+        first = next((k for k in range(half) if states[k].value), 0)
+        over = [states[first], states[first + half]] if half else states[:1]
+        axes = (f"{m.entry.replace('.start.', '.')}={m.low:g}..{m.high:g}" for m in over)
+        found[RegionMap.title] = f"qube-ihc region {named} {' '.join(f'--over {shlex.quote(axis)}' for axis in axes)}"
+    if {"LC", "IHC"} <= {*laws}:
+        able = [[q.name for q in quantities.values() if q.role == role] for role in ("settling", "energy", "variation")]
+        roles = zip(("settling", "energy", "variation"), able, strict=True)
+        names = [role if len(some) == 1 else some[0] for role, some in roles if some]
+        found[FrontMap.title] = f"qube-ihc tune {named} --pareto {shlex.quote(','.join(names))}"
+    return found
+
+
+def _is_share(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _slider_of(axis: AxisFile, members: Mapping[str, Adjustable], path: Path) -> Slider:
+    member = members.get(axis.entry)
+    if not isinstance(member, Slider):
+        raise UserError(f"{path}: the axis {axis.entry} is no number that this page sets")
+    return member
+
+
+def _member_of(name: str, members: Mapping[str, Adjustable], path: Path) -> Slider:
+    for entry in (decided(name), f"controller.start.{name}"):
+        member = members.get(entry)
+        if isinstance(member, Slider):
+            return member
+    raise UserError(f"{path}: {name} is no number that this page sets")
+
+
+def _differing(found: Mapping[str, Any], base: Scenario) -> list[str]:
+    """Return the sections in which the scenario of a file differs from the base; what is judged and recorded is left out."""
+    own = base.model_dump(mode="json")
+    names = ("run", "plant", "controller", "components", "wires", "signals")
+    return [name for name in names if name in found and found[name] != own.get(name)]
+
+
+def _scale_of(values: Sequence[float], label: str) -> Scale:
+    """Return an axis that has some room around values; logarithmic where they are over more than a decade."""
+    low, high = min(values), max(values)
+    if low > 0.0 and high > LARGEST_RATIO * low:
+        room = (high / low) ** ROOM
+        return Scale(label, low / room, high * room, logarithmic=True)
+    room = ROOM * (high - low) or 0.5 * abs(low) or 1.0
+    return Scale(label, low - room, high + room)
+
+
+def _image(shares: Array) -> str:
+    """Return a picture of shares (n, m), the first axis to the right and the second up, transparent where NaN."""
+    every = -(-max(shares.shape) // MOST_PIXELS)
+    buffer = io.BytesIO()
+    rgba = mpl.colormaps[SHADES].with_extremes(bad=(0.0, 0.0, 0.0, 0.0))(
+        np.ma.masked_invalid(shares[::every, ::every].T)
+    )
+    imsave(buffer, rgba, origin="lower", format="png")
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
+
+
+def _gradient() -> str:
+    """Return the shades of a map as CSS."""
+    shades = mpl.colormaps[SHADES](np.linspace(0.0, 1.0, 6))
+    return f"linear-gradient(to right, {', '.join(mpl.colors.to_hex(shade) for shade in shades)})"
+
+
+def _outline(inside: Array) -> str:
+    """Return the border of the cells that are inside (n, m), along their sides, as a path with y down."""
+    n, m = inside.shape
+    sides = []
+    for i, j in zip(*np.nonzero(inside[1:] != inside[:-1]), strict=True):
+        sides.append(f"M{(i + 1) / n:.5g} {1.0 - j / m:.5g}V{1.0 - (j + 1) / m:.5g}")
+    for i, j in zip(*np.nonzero(inside[:, 1:] != inside[:, :-1]), strict=True):
+        sides.append(f"M{i / n:.5g} {1.0 - (j + 1) / m:.5g}H{(i + 1) / n:.5g}")
+    return "".join(sides)
+
+
+def _path(at: Sequence[tuple[float, float]]) -> str:
+    """Return a line through points as a path with y down, broken where a point has no number."""
+    steps, drawing = [], False
+    for x, y in at:
+        known = math.isfinite(x) and math.isfinite(y)
+        if known:
+            steps.append(f"{'L' if drawing else 'M'}{x:.5g} {1.0 - y:.5g}")
+        drawing = known
+    return "".join(steps)
