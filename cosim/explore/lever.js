@@ -8,7 +8,7 @@ export default {
     <input type="range" :min="Math.min(at(min), at(value))" :max="Math.max(at(max), at(value))"
       :step="logarithmic ? (at(max) - at(min)) / ${STEPS} : step" :value="at(value)"
       :aria-label="label" :aria-valuetext="value" @input="take(from(Number($event.target.value)))" /></label>`,
-  props: { label: String, meaning: String, min: Number, max: Number, step: Number, logarithmic: Boolean, start: Number },
+  props: { label: String, meaning: String, min: Number, max: Number, step: Number, logarithmic: Boolean, whole: Boolean, start: Number },
   emits: ["taken"],
   data() {
     return { value: this.start };
@@ -27,8 +27,9 @@ export default {
       return this.logarithmic ? Number((10 ** place).toPrecision(DIGITS)) : place;
     },
     typed(field) {
-      if (field.value === "" || !Number.isFinite(Number(field.value))) field.value = this.text; // no number: as it was
-      else this.take(Number(field.value));
+      const value = field.value === "" ? NaN : Number(field.value);
+      if (Number.isFinite(value)) this.take(this.whole ? Math.round(value) : value);
+      field.value = this.text; // also where it was no number
     },
     take(value) {
       if (value === this.value) return;

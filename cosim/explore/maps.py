@@ -13,10 +13,11 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import to_hex
 from matplotlib.image import imsave
 from matplotlib.ticker import LogLocator, MaxNLocator
 
@@ -46,25 +47,6 @@ BEATEN = "#999999"
 
 Metrics = Mapping[str, Mapping[str, float]]
 """Of the run that is shown, by law and name."""
-
-
-class Map(Protocol):
-    """What a map is to the page."""
-
-    title: str
-    notes: list[str]
-
-    def drawn(self) -> dict[str, Any]:
-        """Return what is drawn, once."""
-        ...
-
-    def marks(self, values: Mapping[str, Any], metrics: Metrics) -> list[dict[str, Any]]:
-        """Return the marks of each panel for what is set and the run's metrics."""
-        ...
-
-    def chosen(self, values: Mapping[str, Any], click: Any) -> dict[str, Any]:
-        """Return the values that are set after a click; UserError for one that is none."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -162,7 +144,7 @@ class RegionMap:
         at = [(self.x.share(x), self.y.share(y)) for x, y in ball]
         return [{"d": _path(at), "colour": "", "dashed": True}]
 
-    def marks(self, values: Mapping[str, Any], _metrics: Metrics) -> list[dict[str, Any]]:
+    def marks(self, values: Mapping[str, Any], _: Metrics) -> list[dict[str, Any]]:
         """Return where the initial state lies, the same for each law."""
         now = [float(values.get(slider.entry, slider.value)) for slider in self.axes]
         x = self.x.share(now[0])
@@ -281,6 +263,9 @@ class FrontMap:
         return {**kept, **point}
 
 
+Map = RegionMap | FrontMap
+
+
 def maps_of(
     base: Scenario,
     members: Mapping[str, Adjustable],
@@ -379,7 +364,7 @@ def _image(shares: Array) -> str:
 def _gradient() -> str:
     """Return the shades of a map as CSS."""
     shades = mpl.colormaps[SHADES](np.linspace(0.0, 1.0, 6))
-    return f"linear-gradient(to right, {', '.join(mpl.colors.to_hex(shade) for shade in shades)})"
+    return f"linear-gradient(to right, {', '.join(to_hex(shade) for shade in shades)})"
 
 
 def _outline(inside: Array) -> str:

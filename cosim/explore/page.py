@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from html import escape
 from pathlib import Path
@@ -28,7 +29,7 @@ THROTTLE = 0.02
 """Seconds between two values of a slider that moves."""
 
 SLOW = 0.3
-"""Seconds of a run from which on the page says that it computes."""
+"""Seconds that what is seen is behind what is set, from which on the page says that it computes."""
 
 FAILURES = (UserError, SimulationError, FmuError)
 """What is said on the page in a sentence."""
@@ -47,7 +48,7 @@ class Lever(Element, component="lever.js", default_classes="lever"):
     def __init__(self, of: Slider, value: float, taken: Callable[[GenericEventArguments], Any]) -> None:
         super().__init__()
         self._props |= {"label": of.label, "meaning": of.meaning, "min": of.low, "max": of.high, "step": of.step}
-        self._props |= {"logarithmic": of.logarithmic, "start": value}
+        self._props |= {"logarithmic": of.logarithmic, "whole": of.whole, "start": value}
         self.on("taken", taken, throttle=THROTTLE)
 
 
@@ -85,7 +86,7 @@ class Desk:
         self.maps: list[tuple[Map, Chart]] = []
         self.metrics: Metrics = {}
         self.wanted = self.drawn = 0
-        self.busy = False
+        self.busy, self.behind = False, 0.0
 
     def build(self) -> None:
         """Make the page's elements and begin to compute."""
@@ -153,8 +154,14 @@ class Desk:
             self.asked.values[member.entry] = member.taken(value)
         except UserError as error:
             self._say(str(error))
+            self._show_values()
             return
         await self._changed()
+
+    def _show_values(self) -> None:
+        """Show in every field of a number what is set."""
+        for entry, lever in self.levers.items():
+            lever.run_method("show", self.asked.values.get(entry, self.exploration.members[entry].value))
 
     async def _changed(self) -> None:
         """Leave out values that are the scenario's own; show where they are in the maps; run."""
@@ -191,8 +198,11 @@ class Desk:
             for one in found:
                 chart = Chart(one, one.marks(self.asked.values, self.metrics), self._chosen(one))
                 self.maps.append((one, chart))
-            for text in [*said, *(f"a {title} to click in comes by: {how}" for title, how in missing.items())]:
+            for text in said:
                 ui.label(text).classes("note")
+            for title, how in missing.items():
+                text = f"{escape(title)}: none yet to click in. It comes by <code>{escape(how)}</code>"
+                ui.html(text, sanitize=False).classes("note")
 
     def _chosen(self, of: Map) -> Callable[[GenericEventArguments], Any]:
         async def chosen(event: GenericEventArguments) -> None:
@@ -201,8 +211,7 @@ class Desk:
             except UserError as error:
                 self._say(str(error))
                 return
-            for entry, lever in self.levers.items():
-                lever.run_method("show", self.asked.values.get(entry, self.exploration.members[entry].value))
+            self._show_values()
             await self._changed()
 
         return chosen
@@ -226,7 +235,7 @@ class Desk:
         self.wanted += 1
         if self.busy:
             return
-        self.busy = True
+        self.busy, self.behind = True, time.monotonic()
         try:
             while self.drawn != self.wanted:
                 number = self.wanted
@@ -242,9 +251,9 @@ class Desk:
                 self.exploration.outcome, asked, lambda: number == self.wanted and not self.seen.is_deleted
             )
         )
-        done, _ = await asyncio.wait([running], timeout=SLOW)
+        done, _ = await asyncio.wait([running], timeout=max(0.0, self.behind + SLOW - time.monotonic()))
         if not done:
-            self.seen.run_method("say", "computing …")
+            self.seen.run_method("wait")
         try:
             outcome = await running
         except NotWantedError:
@@ -252,8 +261,10 @@ class Desk:
         except FAILURES as error:
             self._say(str(error))
             self.seen.run_method("keep")
+            self.behind = time.monotonic()
             return
         self._say("")
+        self.behind = time.monotonic()
         self.metrics = outcome.metrics
         self._mark()
         self.seen.run_method("draw", number, _told(outcome))

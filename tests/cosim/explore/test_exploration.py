@@ -104,6 +104,7 @@ def test_what_lies_beside_the_scenario_goes_along_but_not_over_another_file(else
         ({"controller.start.a_min": -1.0}, r"a_min must lie in \[1e-06, 1e\+12\]"),
         ({MU: 1.5}, r"mu must lie in \(0, 1\], found 1.5"),
         ({"controller.bias_noise": -1.0}, "bias_noise must be positive and finite, found -1"),
+        ({"controller.k_lin_1": -3.0}, r"K must stabilize \(A, B\)"),
         ({"run.seed": -3}, "run.seed must be greater than or equal to 0, found -3"),
     ],
 )

@@ -13,6 +13,7 @@ from tests.cosim.explore.studied import write_front, write_region
 
 NUMBER = "document.querySelector('input[type=number][aria-label=\"{}\"]').value"
 A_MIN = "document.querySelector('input[type=range][aria-label=a_min]')"
+RESET = "[...document.querySelectorAll('button')].find(one => one.innerText === 'reset').click()"
 CELLS = "[...document.querySelectorAll('table.numbers tr')].map(row => [...row.children].map(cell => cell.innerText))"
 CURVES = "[...document.querySelectorAll('.plots canvas')].map(canvas => canvas.toDataURL())"
 DRAWN = "Number(document.querySelector('.seen')?.dataset.drawn)"
@@ -34,13 +35,21 @@ def served(fmus, tmp_path_factory):
     process.communicate()
 
 
+@pytest.fixture(scope="module")
+def opened(served, tmp_path_factory):
+    """The page in a browser."""
+    with Tab(tmp_path_factory.mktemp("browser"), served[1]) as one:
+        one.wait(f"{DRAWN} && document.querySelectorAll('.map').length === 2")
+        yield one
+
+
 @pytest.fixture
-def tab(served, tmp_path):
-    _, address, _ = served
-    with Tab(tmp_path, address) as opened:
-        opened.wait(DRAWN)
-        yield opened
-        opened.value("[...document.querySelectorAll('button')].find(one => one.innerText === 'reset').click()")
+def tab(opened):
+    """The page as it is at first."""
+    yield opened
+    drawn = opened.value(DRAWN)
+    opened.value(RESET)
+    opened.wait(f"{DRAWN} > {drawn}")
 
 
 def moved(tab, key, count=1):
@@ -67,7 +76,6 @@ def test_a_slider_moves_the_curves_and_the_metrics_of_the_ihc(tab):
 
 @in_browser
 def test_a_click_in_the_map_moves_the_initial_state_and_the_curves(tab):
-    tab.wait("document.querySelectorAll('.map').length === 2")
     curves, drawn = tab.value(CURVES), tab.value(DRAWN)
     left, top, width, height = tab.value(
         "(box => [box.left, box.top, box.width, box.height])(document.querySelector('.map .frame').getBoundingClientRect())"
@@ -83,7 +91,6 @@ def test_a_click_in_the_map_moves_the_initial_state_and_the_curves(tab):
 
 @in_browser
 def test_a_click_on_a_point_of_the_front_sets_its_parameters(tab):
-    tab.wait("document.querySelectorAll('.map').length === 2")
     left, top = tab.value(
         "(box => [box.left + box.width / 2, box.top + box.height / 2])"
         "(document.querySelector('.point[aria-label^=chosen] path').getBoundingClientRect())"
@@ -136,15 +143,40 @@ def test_what_is_written_runs(tab, served, fmus):
     assert f"{metrics.integral_q2:.4g}" in [row[2] for row in tab.value(CELLS)]
 
 
+def typed(tab, name, text):
+    """Type into the field of a number, and leave it."""
+    tab.value(f"document.querySelector('input[aria-label=\"{name}\"][type=number]').focus()")
+    tab.value("document.execCommand('selectAll')")
+    tab.do("Input.insertText", text=text)
+    tab.value("document.activeElement.blur()")
+
+
 @in_browser
 def test_a_value_that_is_refused_is_a_sentence_on_the_page(tab):
-    tab.value("document.querySelector('input[aria-label=a_min][type=number]').focus()")
-    tab.value("document.execCommand('selectAll')")
-    tab.do("Input.insertText", text="-1")
-    tab.value("document.activeElement.blur()")
-    assert "a_min must lie in [1e-06, 1e+12]" in tab.wait("document.querySelector('[role=alert]').innerText")
-    tab.value("[...document.querySelectorAll('button')].find(one => one.innerText === 'reset').click()")
-    tab.wait("document.querySelector('[role=alert]').innerText === ''")
+    for name, text, sentence in (
+        ("a_min", "-1", "controller.a_min must lie in [1e-06, 1e+12], found -1.0"),
+        ("mu", "1.5", "mu must lie in (0, 1], found 1.5"),
+    ):
+        typed(tab, name, text)
+        assert tab.wait("document.querySelector('[role=alert]').innerText").startswith(sentence)
+        tab.value(RESET)
+        tab.wait(f"document.querySelector('[role=alert]').innerText === '' && {NUMBER.format(name)} !== '{text}'")
+
+
+@in_browser
+def test_what_is_no_number_is_taken_back(tab):
+    before = tab.value(NUMBER.format("a_min"))
+    for text in ("NaN", "1e", "1e999", "-1e300"):
+        typed(tab, "a_min", text)
+        tab.wait(f"{NUMBER.format('a_min')} === '{before}'")
+
+
+@in_browser
+def test_a_run_that_takes_long_is_said_to_be_computed(tab):
+    drawn = tab.value(DRAWN)
+    typed(tab, "duration [s]", "900")
+    tab.wait("document.querySelector('.seen.earlier .note').innerText === 'computing …'")
+    tab.wait(f"{DRAWN} > {drawn} && !document.querySelector('.seen.earlier')")
 
 
 @in_browser
