@@ -81,8 +81,12 @@ class _Judge:
                 raise UserError(
                     f"a front starts from the LC, which in {where} has no {q.quantity.name} yet at the end of a run"
                 )
-            factor = REACH * max(1.0, self.search.bounds.get(q.name, 1.0))
-            self.reach.append(factor * estimate.value if estimate.value > 0.0 else math.inf)
+            if not estimate.value > 0.0:
+                raise UserError(
+                    f"a front is relative to the LC, whose {q.name} is 0 in this scenario: nothing is asked of it there; "
+                    "start it away from rest, e.g. with --set"
+                )
+            self.reach.append(REACH * max(1.0, self.search.bounds.get(q.name, 1.0)) * estimate.value)
 
     def runs(
         self, changes: Sequence[Mapping[str, Any]], numbers: Sequence[int], progress: Callable[[int, int], None]
