@@ -25,11 +25,13 @@ from ..structure import SystemStructure
 from ..studies.ranges import Range
 from ..studies.tunables import (
     A_MIN,
+    ALPHA,
     B_MAX,
     GAINS,
     MU,
     MUS,
     NOISES,
+    RATES,
     SCALES,
     SPREAD,
     U_MAX,
@@ -147,7 +149,7 @@ def groups_of(
     of_controller = list(_parameters(CONTROLLER, system, values))
     law, gain = (
         Group("controller", _design_sliders(controller)),
-        Group("gain K", _gain_sliders(controller), folded=True),
+        Group("gain K, rate alpha", _gain_sliders(controller), folded=True),
     )
     estimator, further = Group("estimator", _noise_sliders(controller)), Group("controller, further", folded=True)
     for variable, member in of_controller:
@@ -279,12 +281,18 @@ def _design_sliders(controller: TunedController | None) -> list[Adjustable]:
 
 
 def _gain_sliders(controller: TunedController | None) -> list[Adjustable]:
-    """Return the entries of K, where a design can be solved for another."""
+    """Return the entries of K and the rate of decay, where a design can be solved for others."""
     if controller is None or not controller.redesigned:
         return []
     meaning = "entry of the LC's gain; the design is solved anew"
     values = {name: controller.start[name] for name in controller.gains}
-    return [_tuned(controller, n, around(v, GAINS) if v else Range(-1.0, 1.0), meaning) for n, v in values.items()]
+    rate = _tuned(
+        controller, ALPHA, around(controller.start[ALPHA], RATES), "rate of decay that the design is to prove"
+    )
+    return [
+        *(_tuned(controller, n, around(v, GAINS) if v else Range(-1.0, 1.0), meaning) for n, v in values.items()),
+        rate,
+    ]
 
 
 def _noise_sliders(controller: TunedController | None) -> list[Adjustable]:

@@ -26,6 +26,7 @@ from fmu_export.errors import UserError
 from ..metric_meanings import MetricMeaning
 from ..plots import COLOURS, OTHERS, colours
 from ..scenario import Scenario
+from ..studies.cases import OF, Objective
 from ..studies.pareto_files import LARGEST_RATIO
 from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE
 from ..studies.region_map import CERTIFIED_LAWS
@@ -192,7 +193,7 @@ class FrontMap:
         self.pairs = list(itertools.combinations(range(len(front.objectives)), 2))
         self.quantities = quantities
         self.scales = [
-            _scale_of([p.objectives[k] for p in self.points], quantities[name].heading if name in quantities else name)
+            _scale_of([p.objectives[k] for p in self.points], _heading(name, quantities))
             for k, name in enumerate(front.objectives)
         ]
         self.notes = ["a click on a point sets its parameters; ✕: the run that is shown, which is one draw"]
@@ -312,6 +313,12 @@ def commands_of(
         names = [role if len(some) == 1 else some[0] for role, some in roles if some]
         found[FrontMap.title] = f"qube-ihc tune {named} --pareto {shlex.quote(','.join(names))}"
     return found
+
+
+def _heading(name: str, quantities: Mapping[str, MetricMeaning]) -> str:
+    """Return what an objective is called, also one of a case; its name in the file where that is no metric."""
+    metric, _, case = name.partition(OF)
+    return Objective(quantities[metric], case).heading if metric in quantities else name
 
 
 def _is_share(value: Any) -> bool:

@@ -1,10 +1,11 @@
 """Tuning for several objectives at once: the front of what can be had, found on some draws and judged on others.
 
 NSGA-II searches from the LC's neighbourhood, the stops of the paper's rule and a Sobol set. Every point is run in the same
-draws of encoder offsets and noise; its front is run again in draws that the search did not see, and these are the numbers
-that are told. A point that loses the plant in more draws than the LC, ends without the steady state that an objective
-needs, has no proven design, or an objective beyond REACH, is infeasible: whatever its objectives, it is behind every
-feasible one. The search spreads its points evenly in the objectives' logarithms.
+draws of encoder offsets and noise, in the scenario and in each case; its front is run again in draws that the search did not
+see, and these are the numbers that are told. An infeasible point, see `pareto_judge`, is behind every feasible one whatever
+its objectives. The search spreads its points evenly in the objectives' logarithms. With goals, CMA-ES goes on from the point
+that is nearest to them, with as many runs again, and makes the largest ratio of an objective to its goal small (goal
+attainment: F. W. Gembicki and Y. Y. Haimes, IEEE Trans. Automatic Control 20(6), 1975, 769-771).
 """
 
 from __future__ import annotations
@@ -19,84 +20,24 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
-from .draw_means import change_over, kept, mean_over
-from .engine import Workers, run_numbers
-from .estimates import MeanEstimate
+from .cases import AS_IT_STANDS
+from .draw_means import kept
+from .engine import Workers
 from .experiments import laws_of
 from .journal import Journal
-from .nsga import check_installed, nondominated
-from .numbers import Numbers
+from .optimizers import check_installed, descended, nondominated
 from .pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE, Front, ParetoPoint, Search
+from .pareto_judge import WORST, PointJudge
 from .tunables import Setting, TunedController
 from .tuning import Grid, Point, Tuning, TuningProblem, tune
 
 Array = np.ndarray
 Say = Callable[[str, int, int], None]
 
-WORST = 2.0
-"""Violation of a point that has no design: that of losing every draw."""
-LEAST = 1e-300
-"""Of what a logarithm is taken."""
-REACH = 4.0
-"""Of an objective, times the LC's, and times its limit where that is above 1: the search does not go beyond."""
+UNFEASIBLE = 100.0
+"""Of what the search for goals makes small: that of an infeasible point, beyond every feasible one's."""
 SHARE = 4
 """Part of the population, one in so many, of how many points within the limits are judged besides the last generation's."""
-
-
-class _Judge:
-    """Runs points, or takes them from the journal, and says what they come to."""
-
-    def __init__(
-        self, problem: TuningProblem, search: Search, controller: TunedController, journal: Journal, workers: Workers
-    ) -> None:
-        self.problem, self.search, self.controller = problem, search, controller
-        self.journal, self.workers = journal, workers
-        self.linear: Sequence[Numbers] = ()
-        self.reach: list[float] = []
-
-    def begin(self, progress: Callable[[int, int], None]) -> None:
-        """Run the LC in the search's draws; raise UserError where it lacks an objective."""
-        (self.linear,) = self.runs([self.controller.linear()], self.problem.numbers, progress)
-        for q, estimate in zip(self.search.objectives, self.objectives(self.linear), strict=True):
-            if math.isnan(estimate.value):
-                raise UserError(
-                    f"a front starts from the LC, which in this scenario has no {q.name} yet at the end of a run"
-                )
-            factor = REACH * max(1.0, self.search.bounds.get(q.name, 1.0))
-            self.reach.append(factor * estimate.value if estimate.value > 0.0 else math.inf)
-
-    def runs(
-        self, changes: Sequence[Mapping[str, Any]], numbers: Sequence[int], progress: Callable[[int, int], None]
-    ) -> list[list[Numbers]]:
-        """Return the numbers of each draw of each point; points that are equal are run once."""
-        keys = [tuple(sorted(c.items())) for c in changes]
-        jobs = [job for key in dict.fromkeys(keys) for job in self.problem.jobs(key, dict(key), numbers)]
-        by_key = run_numbers(jobs, self.problem.fmus, self.journal, workers=self.workers, progress=progress)
-        return [[by_key[key, n] for n in numbers] for key in keys]
-
-    def objectives(self, draws: Sequence[Numbers]) -> tuple[MeanEstimate, ...]:
-        """Return the means of the objectives."""
-        return tuple(mean_over(draws, q) for q in self.search.objectives)
-
-    def violation(self, draws: Sequence[Numbers], linear: Sequence[Numbers]) -> float:
-        """Return by how much a point is infeasible beside the LC; 0: it is feasible.
-
-        1 and the share of draws that it loses beyond the LC's; otherwise the share of objectives without a number.
-        """
-        lost = len(kept(linear)) - len(kept(draws))
-        if lost > 0:
-            return 1.0 + lost / len(draws)
-        return float(np.mean([math.isnan(estimate.value) for estimate in self.objectives(draws)]))
-
-    def searched(self, draws: Sequence[Numbers]) -> tuple[Array, float]:
-        """Return the logarithms of the objectives (n,), and by how much the point is infeasible to the search."""
-        values = np.array([estimate.value for estimate in self.objectives(draws)])
-        violation = self.violation(draws, self.linear)
-        if violation:
-            return np.zeros_like(values), violation
-        logs = np.log(np.maximum(values, LEAST))
-        beyond = float(np.maximum(logs - np.log(np.maximum(self.reach, LEAST)), 0.0).sum())
-        return logs, beyond / (1.0 + beyond)
 
 
 def pareto(
@@ -120,7 +61,7 @@ def pareto(
     if LC not in laws_of(problem.scenario, problem.fmus, problem.folder):
         raise UserError("a front is held against the law LC, which the controller does not have")
     rule = tune(problem, grid, journal, workers, report)
-    judge = _Judge(problem, search, controller, journal, workers)
+    judge = PointJudge(problem, search, controller, journal, workers)
     judge.begin(lambda done, total: report("the LC", done, total))
     tell = say or (lambda _sentence: None)
     known: list[Mapping[str, float]] = [controller.start, {**controller.start, "a_min": 1.0, "b_max": 1.0}]
@@ -157,11 +98,11 @@ def values_of(point: Point) -> dict[str, float]:
 
 
 class _Explorer:
-    """Evaluates the points of a search, generation by generation, and remembers the feasible ones."""
+    """Evaluates the points of a search, generation by generation; remembers the feasible ones and the least infeasible."""
 
     def __init__(
         self,
-        judge: _Judge,
+        judge: PointJudge,
         search: Search,
         setting: Callable[[Mapping[str, float]], Setting],
         report: Say,
@@ -171,23 +112,42 @@ class _Explorer:
         self.judge, self.search, self.setting = judge, search, setting
         self.report, self.say, self.what = report, say, what
         self.feasible: dict[tuple[float, ...], Array] = {}
+        self.least: tuple[float, dict[str, float]] = (math.inf, {})
         self.told = False
 
     def found(self, first: Array) -> list[_Found]:
         """Return the values, and what they change, of the last generation's front and of the best within the limits."""
         search = self.search
-        last = nondominated(self.evaluated, first, len(search.objectives), search.generations, search.seed)
+        last = nondominated(self._generation, first, len(search.objectives), search.generations, search.seed)
         points = [self._values(shares) for shares in last]
-        points += [dict(zip(points[0], values, strict=True)) for values in self._within_limits()] if points else []
+        if search.goals and (self.feasible or self.least[1]):
+            nearest = self._named(min(self.feasible, key=self._beyond)) if self.feasible else self.least[1]
+            start = np.array([t.share(nearest[t.name]) for t in search.tunables])
+            descended(self._descent, start, search.population * search.generations, search.seed)
+        points += [self._named(values) for values in self._preferred()]
         return [(v, self.setting(v)) for v in {tuple(v.values()): v for v in points}.values()]
 
-    def evaluated(self, generation: int, points: Array) -> tuple[Array, Array]:
-        """Return the logarithms of the objectives (k, n) and the violations (k, 1) of points in the unit cube."""
+    def _generation(self, generation: int, points: Array) -> tuple[Array, Array]:
+        search = self.search
+        left = (search.generations - generation + (search.generations if search.goals else 0)) * search.population
+        return self._evaluated(f"generation {generation} of {search.generations}", points, left)
+
+    def _descent(self, generation: int, generations: int, points: Array) -> Array:
+        left = (generations - generation) * len(points)
+        F, G = self._evaluated(f"towards the goals, generation {generation} of {generations}", points, left)
+        near = [UNFEASIBLE + g if g else self.judge.towards_goals(f) for f, g in zip(F, G.ravel(), strict=True)]
+        return np.array(near)
+
+    def _evaluated(self, stage: str, points: Array, left: int) -> tuple[Array, Array]:
+        """Return the logarithms of the objectives (k, n) and the violations (k, 1) of points in the unit cube.
+
+        `left`: so many points follow at most.
+        """
         begin, counts = time.monotonic(), []
 
         def count(done: int, total: int) -> None:
             counts.append(done)
-            self.report(f"{self.what}generation {generation} of {self.search.generations}", done, total)
+            self.report(f"{self.what}{stage}", done, total)
 
         F, G = np.zeros((len(points), len(self.search.objectives))), np.full((len(points), 1), WORST)
         settings: dict[int, tuple[dict[str, float], Setting]] = {}
@@ -203,38 +163,49 @@ class _Explorer:
             F[i], G[i] = self.judge.searched(draws)
             if G[i] == 0.0:
                 self.feasible[tuple(values.values())] = F[i]
-        self._predict(generation, time.monotonic() - begin, counts[-1] - counts[0])
+            self.least = min(self.least, (float(G[i, 0]), values), key=lambda one: one[0])
+        if counts:
+            self._predict(left, time.monotonic() - begin, counts[-1] - counts[0])
         return F, G
 
     def _values(self, shares: Sequence[float]) -> dict[str, float]:
         return {t.name: t.at(float(share)) for t, share in zip(self.search.tunables, shares, strict=True)}
 
-    def _within_limits(self) -> list[tuple[float, ...]]:
-        """Return the values of the feasible points within the limits that are best in the first objective."""
+    def _named(self, values: Sequence[float]) -> dict[str, float]:
+        return dict(zip([t.name for t in self.search.tunables], values, strict=True))
+
+    def _beyond(self, values: tuple[float, ...]) -> float:
+        return self.judge.towards_goals(self.feasible[values])
+
+    def _preferred(self) -> list[tuple[float, ...]]:
+        """Return the values of feasible points: nearest to the goals, or within the limits best in the first objective."""
+        most = self.search.population // SHARE
+        if self.search.goals:
+            return sorted(self.feasible, key=self._beyond)[:most]
         names = [q.name for q in self.search.objectives]
         linear = self.judge.objectives(self.judge.linear)
-        most = {
+        limits = {
             names.index(name): factor * linear[names.index(name)].value for name, factor in self.search.bounds.items()
         }
-        able = [v for v, F in self.feasible.items() if all(math.exp(F[i]) <= limit for i, limit in most.items())]
-        return sorted(able, key=lambda v: tuple(self.feasible[v]))[: self.search.population // SHARE]
+        able = [v for v, F in self.feasible.items() if all(math.exp(F[i]) <= limit for i, limit in limits.items())]
+        return sorted(able, key=lambda v: tuple(self.feasible[v]))[:most]
 
-    def _predict(self, generation: int, seconds: float, runs: int) -> None:
-        """Say, after the first generation that ran anything, what the others will take."""
+    def _predict(self, left: int, seconds: float, runs: int) -> None:
+        """Say, after the first generation that ran anything, what the others will take, of `left` points."""
         if self.told or not runs:
             return
-        left = (self.search.generations - generation) * self.search.population * len(self.judge.problem.numbers)
+        left *= len(self.judge.problem.numbers) * len(self.search.circumstances)
         rest = f"the generations that follow are up to {left} runs, about {left * seconds / runs:.0f} s"
         self.say(f"{runs} runs in {seconds:.1f} s; {rest}")
         self.told = True
 
 
-def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Sequence[_Found], report: Say) -> Front:
+def _judged(judge: PointJudge, rule: Tuning, found: Sequence[_Found], retuned: Sequence[_Found], report: Say) -> Front:
     """Run the LC, the rule's way and the points found in the held-out draws, and choose."""
     problem, search = judge.problem, judge.search
     way = [(values_of(p), problem.changes(p, rule.designs[p.mu, p.u_max])) for p in rule.way]
     rows: list[tuple[str, Mapping[str, float], Mapping[str, Any], Setting | None]] = [
-        (LC, {}, judge.controller.linear(), None),
+        (LC, {}, judge.linear_changes, None),
         *((RULE, values, changes, None) for values, changes in way),
         *((FRONT, values, setting.changes, setting) for values, setting in found),
         *((RETUNED, values, setting.changes, setting) for values, setting in retuned),
@@ -245,13 +216,13 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Seque
     held = judge.runs(changes, unseen, lambda done, total: report("draws held out", done, total))
     points = [
         ParetoPoint(
-            LOST if judge.violation(draws, held[0]) else kind,
+            LOST if judge.violation(draws, held[0], found=kind in (FRONT, RETUNED)) else kind,
             values,
             tuple(e.value for e in judge.objectives(seen)),
             judge.objectives(draws),
-            tuple(change_over(draws, held[0], q) for q in search.objectives),
-            len(kept(draws)),
-            len(draws),
+            judge.changes(draws, held[0]),
+            len(kept(draws[AS_IT_STANDS.name])),
+            len(unseen),
             setting,
         )
         for (kind, values, _, setting), seen, draws in zip(rows, searched, held, strict=True)
@@ -267,7 +238,7 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Seque
     over = None
     if chosen is not None and best is not None:
         pair = draws_of[id(chosen)], draws_of[id(best)]
-        over = best, tuple(change_over(*pair, q) for q in search.objectives)
+        over = best, judge.changes(*pair)
     return Front(search, tuple(left), chosen, rule, bool(problem.chance), over)
 
 
@@ -285,9 +256,13 @@ def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
 def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoPoint | None:
     """Return the point of a kind that keeps the limits in all draws and has the least first objective in the search's.
 
-    The held-out draws do not choose, so that what they say of the chosen point is not flattered.
+    With goals, the one that is nearest to them in the search's. The held-out draws do not choose, so that what they say of
+    the chosen point is not flattered.
     """
     linear, names = points[0], [q.name for q in search.objectives]
+    if search.goals:
+        some = [p for p in points if p.kind == kind]
+        return min(some, key=lambda p: search.beyond(p.searched, linear.searched), default=None)
     limits = {names.index(name): factor for name, factor in search.bounds.items()}
     able = [
         p
