@@ -254,12 +254,12 @@ def slider(
     else:
         begin, end = sorted((0.0, 2.0 * value)) if value else (max(low, -1.0), 1.0)
     begin, end = max(min(begin, value), low), min(max(end, value), high)
-    step = _step(end - begin, whole)
+    step = step_of(end - begin, whole)
     begin, end = step * math.ceil(begin / step - 1e-9), step * math.floor(end / step + 1e-9)
     return Slider(entry, name, unit, meaning, value, float(f"{begin:.9g}"), float(f"{end:.9g}"), step, whole)
 
 
-def _step(width: float, whole: bool) -> float:
+def step_of(width: float, whole: bool = False) -> float:
     """Return 1, 2 or 5 times a power of ten, of which about STEPS make up a width."""
     if width <= 0.0:
         return 1.0

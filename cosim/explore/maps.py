@@ -31,7 +31,7 @@ from ..studies.pareto_files import LARGEST_RATIO
 from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE
 from ..studies.region_map import CERTIFIED_LAWS
 from ..unit_definitions import with_unit
-from .adjustables import Adjustable, Group, Slider, decided
+from .adjustables import Adjustable, Group, Slider, decided, step_of
 from .study_files import AxisFile, ReadFront, ReadPoint, ReadRegion, read_front, read_region
 
 Array = np.ndarray
@@ -158,12 +158,8 @@ class RegionMap:
         place = click.get("at") if isinstance(click, Mapping) else None
         if not (isinstance(place, list) and len(place) == 2 and all(_is_share(share) for share in place)):
             raise UserError("a click must be in the map")
-        of = (
-            axis.low + min(max(share, 0.0), 1.0) * (axis.high - axis.low)
-            for axis, share in zip(self.region.axes, place, strict=False)
-        )
-        new = (s.taken(float(f"{value:.4g}")) for s, value in zip(self.axes, of, strict=True))
-        return {**values, **{slider.entry: value for slider, value in zip(self.axes, new, strict=True)}}
+        clicked = zip(self.axes, self.region.axes, place, strict=False)
+        return {**values, **{slider.entry: slider.taken(_value_at(axis, share)) for slider, axis, share in clicked}}
 
 
 STYLES: Mapping[str, tuple[str, str, str]] = {
@@ -319,6 +315,14 @@ def _heading(name: str, quantities: Mapping[str, MetricMeaning]) -> str:
     """Return what an objective is called, also one of a case; its name in the file where that is no metric."""
     metric, _, case = name.partition(OF)
     return Objective(quantities[metric], case).heading if metric in quantities else name
+
+
+def _value_at(axis: AxisFile, share: float) -> float:
+    """Return the value at a share of an axis, in steps of about a pixel."""
+    width = axis.high - axis.low
+    step = step_of(width)
+    value = round((axis.low + share * width) / step) * step
+    return min(max(value, axis.low), axis.high)
 
 
 def _is_share(value: Any) -> bool:
