@@ -5,21 +5,14 @@ A map is drawn by `map.js`, in shares of the axes: 0 at the left and the lower e
 
 from __future__ import annotations
 
-import base64
-import io
 import itertools
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.colors import to_hex
-from matplotlib.image import imsave
-from matplotlib.ticker import LogLocator, MaxNLocator
 
 from fmu_export.errors import UserError
 
@@ -27,53 +20,19 @@ from ..metric_meanings import MetricMeaning
 from ..plots import COLOURS, OTHERS, colours
 from ..scenario import Scenario
 from ..studies.cases import OF, Objective
-from ..studies.pareto_files import LARGEST_RATIO
 from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE
 from ..studies.region_map import CERTIFIED_LAWS
 from ..unit_definitions import with_unit
 from .adjustables import Adjustable, Group, Slider, decided, step_of
+from .map_drawing import Scale, gradient, image, outline, polyline, scale_of
 from .study_files import AxisFile, ReadFront, ReadPoint, ReadRegion, read_front, read_region
 
 Array = np.ndarray
 
-TICKS = 4
-"""On an axis, about."""
-MOST_PIXELS = 256
-"""Of a map's picture, along each axis."""
-ROOM = 0.06
-"""Beside the points of a front, as a share of what they extend over."""
-SHADES = "viridis_r"
-"""Of settling times, from 0 to the latest."""
 BEATEN = "#999999"
 
 Metrics = Mapping[str, Mapping[str, float]]
 """Of the run that is shown, by law and name."""
-
-
-@dataclass(frozen=True)
-class Scale:
-    """An axis from `low` to `high`."""
-
-    label: str
-    low: float
-    high: float
-    logarithmic: bool = False
-
-    def share(self, value: float) -> float:
-        """Return where a value lies: 0 at `low`, 1 at `high`."""
-        if self.logarithmic:
-            return math.log(value / self.low) / math.log(self.high / self.low) if value > 0.0 else -math.inf
-        return (value - self.low) / (self.high - self.low)
-
-    def drawn(self) -> dict[str, Any]:
-        """Return the label and the ticks, their places and texts."""
-        locator = LogLocator(subs=(1.0, 2.0, 5.0)) if self.logarithmic else MaxNLocator(TICKS, steps=[1, 2, 5, 10])
-        ticks = [float(v) for v in locator.tick_values(self.low, self.high)]
-        if self.logarithmic and sum(self.low <= v <= self.high for v in ticks) > 2 * TICKS:
-            ticks = [10.0**k for k in range(math.ceil(math.log10(self.low)), math.floor(math.log10(self.high)) + 1)]
-        width = self.high - self.low
-        texts = [(self.share(v), f"{0.0 if abs(v) < 1e-9 * width else v:.6g}".replace("-", "−")) for v in ticks]
-        return {"label": self.label, "ticks": [(at, text) for at, text in texts if -1e-9 <= at <= 1.0 + 1e-9]}
 
 
 class RegionMap:
@@ -110,7 +69,7 @@ class RegionMap:
         axes = {"x": self.x.drawn(), "y": self.y.drawn(), "free": True}
         if len(self.region.axes) == 1:
             return {"panels": [{"title": ", ".join(self.laws), **axes, **self._curves(shades)}]}
-        outlines = {law: {"d": _outline(np.isfinite(times)), "colour": shades[law]} for law, times in self._maps()}
+        outlines = {law: {"d": outline(np.isfinite(times)), "colour": shades[law]} for law, times in self._maps()}
         legend = [{"shape": "line", "colour": shades[law], "text": f"boundary, {law}"} for law in self.laws]
         ball = self._ball()
         legend += [{"shape": "dashed", "colour": "", "text": "certified ball"}] if ball else []
@@ -118,10 +77,10 @@ class RegionMap:
             {
                 "title": law,
                 **axes,
-                "image": _image(times / self.latest),
+                "image": image(times / self.latest),
                 "lines": [*(outlines[other] for other in sorted(self.laws, key=lambda one: one == law)), *ball],
                 "legend": legend,
-                "shades": {"of": _gradient(), "low": "0", "high": f"{self.latest:.3g}", "text": "settled [s]"},
+                "shades": {"of": gradient(), "low": "0", "high": f"{self.latest:.3g}", "text": "settled [s]"},
             }
             for law, times in self._maps()
         ]
@@ -134,7 +93,7 @@ class RegionMap:
         lines = []
         for law, (starts, times) in self._maps():
             at = [(self.x.share(x), self.y.share(y)) for x, y in zip(starts, times, strict=True)]
-            lines.append({"d": _path(at), "colour": shades[law]})
+            lines.append({"d": polyline(at), "colour": shades[law]})
         legend = [{"shape": "line", "colour": shades[law], "text": law} for law in self.laws]
         return {"lines": lines, "legend": legend}
 
@@ -143,7 +102,7 @@ class RegionMap:
         if ball is None or ball.shape[1] != 2 or not {*CERTIFIED_LAWS} & {*self.laws}:
             return []
         at = [(self.x.share(x), self.y.share(y)) for x, y in ball]
-        return [{"d": _path(at), "colour": "", "dashed": True}]
+        return [{"d": polyline(at), "colour": "", "dashed": True}]
 
     def marks(self, values: Mapping[str, Any], _: Metrics) -> list[dict[str, Any]]:
         """Return where the initial state lies, the same for each law."""
@@ -189,7 +148,7 @@ class FrontMap:
         self.pairs = list(itertools.combinations(range(len(front.objectives)), 2))
         self.quantities = quantities
         self.scales = [
-            _scale_of([p.objectives[k] for p in self.points], _heading(name, quantities))
+            scale_of([p.objectives[k] for p in self.points], _heading(name, quantities))
             for k, name in enumerate(front.objectives)
         ]
         self.notes = ["a click on a point sets its parameters; ✕: the run that is shown, which is one draw"]
@@ -349,52 +308,3 @@ def _differing(found: Mapping[str, Any], base: Scenario) -> list[str]:
     own = base.model_dump(mode="json")
     names = ("run", "plant", "controller", "components", "wires", "signals")
     return [name for name in names if name in found and found[name] != own.get(name)]
-
-
-def _scale_of(values: Sequence[float], label: str) -> Scale:
-    """Return an axis that has some room around values; logarithmic where they are over more than a decade."""
-    low, high = min(values), max(values)
-    if low > 0.0 and high > LARGEST_RATIO * low:
-        room = (high / low) ** ROOM
-        return Scale(label, low / room, high * room, logarithmic=True)
-    room = ROOM * (high - low) or 0.5 * abs(low) or 1.0
-    return Scale(label, low - room, high + room)
-
-
-def _image(shares: Array) -> str:
-    """Return a picture of shares (n, m), the first axis to the right and the second up, transparent where NaN."""
-    every = -(-max(shares.shape) // MOST_PIXELS)
-    buffer = io.BytesIO()
-    rgba = mpl.colormaps[SHADES].with_extremes(bad=(0.0, 0.0, 0.0, 0.0))(
-        np.ma.masked_invalid(shares[::every, ::every].T)
-    )
-    imsave(buffer, rgba, origin="lower", format="png")
-    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-
-
-def _gradient() -> str:
-    """Return the shades of a map as CSS."""
-    shades = mpl.colormaps[SHADES](np.linspace(0.0, 1.0, 6))
-    return f"linear-gradient(to right, {', '.join(to_hex(shade) for shade in shades)})"
-
-
-def _outline(inside: Array) -> str:
-    """Return the border of the cells that are inside (n, m), along their sides, as a path with y down."""
-    n, m = inside.shape
-    sides = []
-    for i, j in zip(*np.nonzero(inside[1:] != inside[:-1]), strict=True):
-        sides.append(f"M{(i + 1) / n:.5g} {1.0 - j / m:.5g}V{1.0 - (j + 1) / m:.5g}")
-    for i, j in zip(*np.nonzero(inside[:, 1:] != inside[:, :-1]), strict=True):
-        sides.append(f"M{i / n:.5g} {1.0 - (j + 1) / m:.5g}H{(i + 1) / n:.5g}")
-    return "".join(sides)
-
-
-def _path(at: Sequence[tuple[float, float]]) -> str:
-    """Return a line through points as a path with y down, broken where a point has no number."""
-    steps, drawing = [], False
-    for x, y in at:
-        known = math.isfinite(x) and math.isfinite(y)
-        if known:
-            steps.append(f"{'L' if drawing else 'M'}{x:.5g} {1.0 - y:.5g}")
-        drawing = known
-    return "".join(steps)

@@ -6,7 +6,7 @@ import pytest
 
 from cosim.errors import UserError
 from cosim.explore.adjustables import controller_of, groups_of
-from cosim.explore.maps import FrontMap, RegionMap, Scale, commands_of, maps_of
+from cosim.explore.maps import FrontMap, RegionMap, commands_of, maps_of
 from cosim.metric_meanings import QUANTITIES
 from cosim.scenario import load_scenario
 from tests.cosim.explore.studied import write_front, write_region
@@ -115,16 +115,3 @@ def test_the_commands_by_which_maps_come_are_told(page):
         "front": "qube-ihc tune 'my run.toml' --fmus . --pareto settling,energy,variation",
     }
     assert list(commands_of(groups, QUANTITIES, ["LC"], ["tilt"])) == ["region of attraction"]
-
-
-def test_a_wide_axis_is_logarithmic_with_few_ticks():
-    scale = Scale("x", 0.01, 1000.0, logarithmic=True)
-    assert (scale.share(0.01), scale.share(1000.0), scale.share(0.0)) == (0.0, pytest.approx(1.0), -math.inf)
-    assert [text for _, text in scale.drawn()["ticks"]] == ["0.01", "0.1", "1", "10", "100", "1000"]
-    assert [text for _, text in Scale("x", 0.2, 7.0, logarithmic=True).drawn()["ticks"]] == [
-        "0.2",
-        "0.5",
-        "1",
-        "2",
-        "5",
-    ]
