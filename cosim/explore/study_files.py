@@ -29,6 +29,8 @@ MOST_CELLS = 2048
 """Along each axis of a map."""
 MOST_POINTS = 5000
 """Of a front."""
+USUAL = 1e-50, 1e50
+"""Sizes of numbers that are drawn."""
 NEAR = 1e-6
 """How far a start may lie from its point of the lattice, in finest cells."""
 SEARCHED = " in the search"
@@ -112,7 +114,7 @@ def read_region(folder: Path) -> ReadRegion | None:
     if file.format != FORMAT:
         raise UserError(f"{path}: format must be {FORMAT}, found {shown(file.format)}")
     for axis in file.axes:
-        if not axis.low < axis.high:
+        if not (axis.low < axis.high and _usual(axis.low) and _usual(axis.high)):
             raise UserError(f"{path}: the axis {shown(axis.name)} must go up, found {axis.low:g} to {axis.high:g}")
     runs = _runs(folder / "region.csv", file)
     settling = {law: _settling(folder / "region.csv", law, runs[law], file) for law in file.laws}
@@ -169,9 +171,17 @@ def _ball(certified: _Certified, path: Path) -> Array | None:
         return None
     size = len(certified.centre)
     Q = np.array(certified.Q) if {len(row) for row in certified.Q} == {size} else np.empty(0)
-    if Q.shape != (size, size) or not np.allclose(Q, Q.T) or not (np.linalg.eigvalsh(Q) > 0.0).all():
-        raise UserError(f"{path}: certified.Q must be symmetric and positive definite, as large as certified.centre")
-    back = np.linalg.inv(np.linalg.cholesky(Q)).T
+    rule = f"{path}: certified.Q must be symmetric and positive definite, as large as certified.centre"
+    if (
+        Q.shape != (size, size)
+        or not all(_usual(v) for v in (*Q.ravel(), *certified.centre))
+        or not np.allclose(Q, Q.T)
+    ):
+        raise UserError(rule)
+    try:
+        back = np.linalg.inv(np.linalg.cholesky(Q)).T
+    except np.linalg.LinAlgError:
+        raise UserError(rule) from None
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     around = np.column_stack((np.cos(turn), np.sin(turn))) if size == 2 else np.array([[-1.0], [1.0]])
     return np.array(certified.centre) + around @ back.T
@@ -232,11 +242,19 @@ def _rows(path: Path, needed: Sequence[str]) -> list[dict[str, str]]:
 
 
 def _number(path: Path, line: int, row: Mapping[str, str], name: str, *, finite: bool = True) -> float:
+    """Return a cell's number; UserError where it is none, or, where it must be finite, none of a usual size."""
     try:
         value = float(row[name])
     except ValueError:
-        value = math.nan
-        finite = True
-    if finite and not math.isfinite(value):
-        raise UserError(f"{path}, line {line}: {name} must be a finite number, found {shown(row[name])}")
+        raise UserError(f"{path}, line {line}: {name} must be a number, found {shown(row[name])}") from None
+    if finite and not _usual(value):
+        low, high = USUAL
+        raise UserError(
+            f"{path}, line {line}: {name} must be 0 or of a size from {low:g} to {high:g}, found {shown(row[name])}"
+        )
     return value
+
+
+def _usual(value: float) -> bool:
+    """Return whether a number can be drawn: it is 0, or of a usual size."""
+    return value == 0.0 or USUAL[0] <= abs(value) <= USUAL[1]
