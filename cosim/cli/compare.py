@@ -59,7 +59,7 @@ def compare(
         str | None,
         typer.Option(
             metavar="ENTRY=VALUE,...",
-            help="Compare values of another entry of the scenario than the law, e.g. `controller.start.a_min=0.2,0.5,1`.",
+            help="Compare values of another entry of the scenario than the law, e.g. `controller.a_min=0.2,0.5,1`.",
         ),
     ] = None,
     draws: Annotated[
