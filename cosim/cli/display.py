@@ -313,7 +313,7 @@ def print_front(front: Front) -> None:
         for q, value, over in zip(objectives, p.held_out, p.over_linear, strict=True):
             change, _, verdict = change_text(over).rpartition(" ")
             shown = change if verdict in ("better", "open", "worse") else change_text(over)
-            cells.append(q.text(value.value) + ("" if p.kind == LC else f" ({shown})"))
+            cells.append(q.quantity.text(value.value) + ("" if p.kind == LC else f" ({shown})"))
         return cells
 
     rows = [row("LC", front.linear), *(row("rule", p) for p in front.of(RULE)[-1:])]

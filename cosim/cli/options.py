@@ -113,14 +113,14 @@ def workers_at(workers: int | None, cluster: str | None) -> Iterator[Workers]:
         connected.close()
 
 
-def assignments(items: list[str] | None) -> list[tuple[str, Any]]:
-    """Return (name, value) of each NAME=VALUE; values as `value_of` reads them."""
+def assignments(items: list[str] | None, option: str = "--set") -> list[tuple[str, Any]]:
+    """Return (name, value) of each NAME=VALUE of an option; values as `value_of` reads them."""
     pairs = []
     for item in items or []:
         name, equals, text = item.partition("=")
         if not equals or not name:
-            raise UserError(f"--set takes NAME=VALUE, found {item!r}")
-        pairs.append((name, value_of(text, f"--set {name}")))
+            raise UserError(f"{option} takes NAME=VALUE, found {item!r}")
+        pairs.append((name, value_of(text, f"{option} {name}")))
     return pairs
 
 

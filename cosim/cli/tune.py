@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -27,6 +27,7 @@ from .options import (
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
 
+    from ..scenario import Scenario
     from ..studies.engine import Workers
     from ..studies.journal import Journal
     from ..studies.pareto_front import Search
@@ -85,6 +86,36 @@ def tune(
             "repeated; none: 1 for every objective but the first.",
         ),
     ] = None,
+    goal: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FACTOR",
+            help="Value to reach of an objective, relative to the LC's, e.g. `settling=0.2`; may be repeated: the search "
+            "goes on towards all at once, and the chosen point is the nearest to them.",
+        ),
+    ] = None,
+    case: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME:ENTRY=VALUE",
+            help="Also run each point with this entry changed, e.g. `pushed:disturbance.gain=200`, and keep the plant "
+            "there; `rms@pushed` is an objective of it; may be repeated, with one name for several entries.",
+        ),
+    ] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ENTRY=VALUE",
+            help="From there each point must come to rest in every draw, e.g. `plant.delta_0=0.6`; may be repeated.",
+        ),
+    ] = None,
+    reference: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ENTRY=VALUE",
+            help="What the LC of the comparison has otherwise, e.g. `controller.velocity_source=filter`; may be repeated.",
+        ),
+    ] = None,
     population: Annotated[int | None, typer.Option(help="Points of a generation; none: 32.")] = None,
     generations: Annotated[int | None, typer.Option(help="Generations of the search; none: 20.")] = None,
     held_out: Annotated[
@@ -116,16 +147,19 @@ def tune(
     from ..scenario import load_located
     from ..scenario_run import with_tolerances
     from ..scenario_system import build_system, controller_design, controller_values
+    from ..studies.cases import cases_of
     from ..studies.journal import Journal
     from ..studies.numbers import PURPOSE
+    from ..studies.pareto_front import Search, factors_of, objectives_of
+    from ..studies.tunables import TunedController, ranges_over
     from ..studies.tuning import Grid, TuningProblem
 
     sizes = {"population": population, "generations": generations, "held_out": held_out, "seed": seed}
     sizes = {name: value for name, value in sizes.items() if value is not None}
-    if pareto is None and (over or gain or linear or limit or sizes):
+    if pareto is None and (over or gain or linear or limit or goal or case or hold or reference or sizes):
         raise UserError(
-            "--over, --gain, --linear, --limit, --population, --generations, --held-out and --seed are for a front; "
-            "--pareto names its objectives"
+            "--over, --gain, --linear, --limit, --goal, --case, --hold, --reference, --population, --generations, "
+            "--held-out and --seed are for a front; --pareto names its objectives"
         )
     if pareto is not None and (measure is not None or most_chattering is not None):
         raise UserError(
@@ -151,10 +185,14 @@ def tune(
     target = output or Path("results") / f"tune_{loaded_scenario.name}"
     search = None
     if pareto is not None:
-        search = _search(
-            problem, known, pareto.split(","), over or [], limit or [], gain=gain, linear=linear, sizes=sizes
-        )
-        problem = replace(problem, measure=search.objectives[0].name)
+        place = loaded_scenario, fmus, folder
+        cases = cases_of(_entries("--case", case, *place), _entries("--hold", hold, *place))
+        found = objectives_of(pareto.split(","), problem.quantities, cases)
+        numbers = TunedController(problem, known).tunables(ranges_over(over or []), gain)
+        factors = factors_of("--limit", limit or [], found), factors_of("--goal", goal or [], found)
+        other = dict(_entries("--reference", reference, *place))
+        search = Search(found, tuple(numbers), *factors, cases, other, linear=linear, **sizes)
+        problem = replace(problem, measure=search.objectives[0].quantity.name)
     check_replaceable(*(target / name for name in _files(search)))
     say_notes(remarks_before(system, loaded_scenario))
     problem = replace(problem, scenario=with_tolerances(loaded_scenario, fmus, folder))
@@ -212,26 +250,17 @@ def _say_written(paths: list[Path]) -> None:
         console.print(f"wrote {escaped(path)}")
 
 
-def _search(
-    problem: TuningProblem,
-    design: Design | None,
-    objectives: list[str],
-    over: list[str],
-    limit: list[str],
-    *,
-    gain: bool,
-    linear: bool,
-    sizes: dict[str, int],
-) -> Search:
-    """Return what the options say of the search; raise UserError for what they cannot say."""
-    from ..studies.pareto_front import Search, limits_of, objectives_of
-    from ..studies.tunables import TunedController, ranges_over
+def _entries(
+    option: str, items: list[str] | None, scenario: Scenario, fmus: Path, folder: Path | None
+) -> list[tuple[str, Any]]:
+    """Return entries as the scenario has them, a case's name before them where there is one, and their values."""
+    from ..studies.entries import entry_of
 
-    controller = TunedController(problem, design)
-    found = objectives_of(objectives, problem.quantities)
-    return Search(
-        found, tuple(controller.tunables(ranges_over(over), gain)), limits_of(limit, found), linear=linear, **sizes
-    )
+    pairs = []
+    for text, value in assignments(items, option):
+        name, colon, entry = text.rpartition(":")
+        pairs.append((f"{name}{colon}{entry_of(entry, scenario, fmus, folder)}", value))
+    return pairs
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

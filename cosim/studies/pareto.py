@@ -1,10 +1,13 @@
 """Tuning for several objectives at once: the front of what can be had, found on some draws and judged on others.
 
 NSGA-II searches from the LC's neighbourhood, the stops of the paper's rule and a Sobol set. Every point is run in the same
-draws of encoder offsets and noise; its front is run again in draws that the search did not see, and these are the numbers
-that are told. A point that loses the plant in more draws than the LC, ends without the steady state that an objective
-needs, has no proven design, or an objective beyond REACH, is infeasible: whatever its objectives, it is behind every
-feasible one. The search spreads its points evenly in the objectives' logarithms.
+draws of encoder offsets and noise, in the scenario and in each case; its front is run again in draws that the search did not
+see, and these are the numbers that are told. A point that loses the plant in more draws than the LC, does not bring a case
+to rest that it must, ends without the steady state that an objective needs, has no proven design, or an objective beyond
+REACH, is infeasible: whatever its objectives, it is behind every feasible one. The search spreads its points evenly in the
+objectives' logarithms. With goals, CMA-ES goes on from the point that is nearest to them, with as many runs again, and makes
+the largest ratio of an objective to its goal small (goal attainment: F. W. Gembicki and Y. Y. Haimes, IEEE Trans. Automatic
+Control 20(6), 1975, 769-771).
 """
 
 from __future__ import annotations
@@ -19,14 +22,15 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
+from .cases import AS_IT_STANDS, FIRST, Case, Runs, without_supervisor
 from .draw_means import change_over, kept, mean_over
 from .engine import Workers, run_numbers
 from .estimates import MeanEstimate
 from .experiments import laws_of
 from .journal import Journal
-from .nsga import check_installed, nondominated
-from .numbers import Numbers
+from .optimizers import check_installed, descended, nondominated
 from .pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE, Front, ParetoPoint, Search
+from .region_map import Judge as RestJudge
 from .tunables import Setting, TunedController
 from .tuning import Grid, Point, Tuning, TuningProblem, tune
 
@@ -39,6 +43,10 @@ LEAST = 1e-300
 """Of what a logarithm is taken."""
 REACH = 4.0
 """Of an objective, times the LC's, and times its limit where that is above 1: the search does not go beyond."""
+ALL = 0.1
+"""Weight of the mean of all goals beside the worst, in the search for them."""
+UNFEASIBLE = 100.0
+"""Of what the search for goals makes small: that of an infeasible point, beyond every feasible one's."""
 SHARE = 4
 """Part of the population, one in so many, of how many points within the limits are judged besides the last generation's."""
 
@@ -51,52 +59,94 @@ class _Judge:
     ) -> None:
         self.problem, self.search, self.controller = problem, search, controller
         self.journal, self.workers = journal, workers
-        self.linear: Sequence[Numbers] = ()
+        self.linear_changes = {**controller.linear(), **search.reference}
+        self.linear: Runs = {}
         self.reach: list[float] = []
+        place = problem.scenario, problem.fmus, problem.folder
+        self.free = without_supervisor(*place)
+        step = problem.scenario.run.step
+        self.rest = RestJudge(problem.quantities, problem.scenario.run.duration, FIRST * step if self.free else None)
 
     def begin(self, progress: Callable[[int, int], None]) -> None:
-        """Run the LC in the search's draws; raise UserError where it lacks an objective."""
-        (self.linear,) = self.runs([self.controller.linear()], self.problem.numbers, progress)
+        """Run the LC in the search's draws; raise UserError where it lacks an objective, or a case is not the plant's."""
+        decided = {*self.controller.setting(self.controller.start).changes, *self.linear_changes}
+        for case in self.search.cases:
+            for entry in case.changes:
+                if entry in decided:
+                    raise UserError(f"a case must not change what the tuning decides, found {entry}")
+        (self.linear,) = self.runs([self.linear_changes], self.problem.numbers, progress)
         for q, estimate in zip(self.search.objectives, self.objectives(self.linear), strict=True):
             if math.isnan(estimate.value):
+                where = f"the case {q.case}" if q.case else "this scenario"
                 raise UserError(
-                    f"a front starts from the LC, which in this scenario has no {q.name} yet at the end of a run"
+                    f"a front starts from the LC, which in {where} has no {q.quantity.name} yet at the end of a run"
                 )
             factor = REACH * max(1.0, self.search.bounds.get(q.name, 1.0))
             self.reach.append(factor * estimate.value if estimate.value > 0.0 else math.inf)
 
     def runs(
         self, changes: Sequence[Mapping[str, Any]], numbers: Sequence[int], progress: Callable[[int, int], None]
-    ) -> list[list[Numbers]]:
-        """Return the numbers of each draw of each point; points that are equal are run once."""
+    ) -> list[Runs]:
+        """Return the numbers of each draw in each case of each point; points that are equal are run once."""
         keys = [tuple(sorted(c.items())) for c in changes]
-        jobs = [job for key in dict.fromkeys(keys) for job in self.problem.jobs(key, dict(key), numbers)]
+        jobs = [
+            job
+            for key in dict.fromkeys(keys)
+            for case in self.search.circumstances
+            for job in self.problem.jobs((key, case.name), self._in_case(dict(key), case), numbers)
+        ]
         by_key = run_numbers(jobs, self.problem.fmus, self.journal, workers=self.workers, progress=progress)
-        return [[by_key[key, n] for n in numbers] for key in keys]
+        names = [case.name for case in self.search.circumstances]
+        return [{name: [by_key[(key, name), n] for n in numbers] for name in names} for key in keys]
 
-    def objectives(self, draws: Sequence[Numbers]) -> tuple[MeanEstimate, ...]:
+    def _in_case(self, changes: Mapping[str, Any], case: Case) -> dict[str, Any]:
+        return {**changes, **(self.free if case.rest else {}), **case.changes}
+
+    def objectives(self, runs: Runs) -> tuple[MeanEstimate, ...]:
         """Return the means of the objectives."""
-        return tuple(mean_over(draws, q) for q in self.search.objectives)
+        return tuple(mean_over(runs[q.case], q.quantity) for q in self.search.objectives)
 
-    def violation(self, draws: Sequence[Numbers], linear: Sequence[Numbers]) -> float:
+    def changes(self, runs: Runs, base: Runs) -> tuple[MeanEstimate, ...]:
+        """Return by which part the objectives' means lie above those of `base`, in the same draws."""
+        return tuple(change_over(runs[q.case], base[q.case], q.quantity) for q in self.search.objectives)
+
+    def violation(self, runs: Runs, linear: Runs, *, found: bool = True) -> float:
         """Return by how much a point is infeasible beside the LC; 0: it is feasible.
 
-        1 and the share of draws that it loses beyond the LC's; otherwise the share of objectives without a number.
+        1 and the mean share of draws that it loses in a case, beyond the LC's where rest is not asked for; otherwise the
+        share of objectives without a number. Rest is asked of points that are `found`, not of the LC and the rule's.
         """
-        lost = len(kept(linear)) - len(kept(draws))
-        if lost > 0:
-            return 1.0 + lost / len(draws)
-        return float(np.mean([math.isnan(estimate.value) for estimate in self.objectives(draws)]))
+        cases = [case for case in self.search.circumstances if found or not case.rest]
+        lost = [self._lost(case, runs[case.name], linear) for case in cases]
+        if any(lost):
+            return 1.0 + float(np.mean(lost))
+        return float(np.mean([math.isnan(estimate.value) for estimate in self.objectives(runs)]))
 
-    def searched(self, draws: Sequence[Numbers]) -> tuple[Array, float]:
+    def _lost(self, case: Case, draws: Sequence[Mapping[str, float]], linear: Runs) -> float:
+        if case.rest:
+            return sum(self.rest.outcome(draw) != "attracted" for draw in draws) / len(draws)
+        return max(0, len(kept(linear[case.name])) - len(kept(draws))) / len(draws)
+
+    def searched(self, runs: Runs) -> tuple[Array, float]:
         """Return the logarithms of the objectives (n,), and by how much the point is infeasible to the search."""
-        values = np.array([estimate.value for estimate in self.objectives(draws)])
-        violation = self.violation(draws, self.linear)
+        values = np.array([estimate.value for estimate in self.objectives(runs)])
+        violation = self.violation(runs, self.linear)
         if violation:
             return np.zeros_like(values), violation
         logs = np.log(np.maximum(values, LEAST))
         beyond = float(np.maximum(logs - np.log(np.maximum(self.reach, LEAST)), 0.0).sum())
         return logs, beyond / (1.0 + beyond)
+
+    def towards_goals(self, logs: Array) -> float:
+        """Return what the search for goals makes small: the logarithm of the largest ratio to a goal, and a little of all.
+
+        The little is so that what is not the worst is made small too.
+        """
+        linear = np.array([estimate.value for estimate in self.objectives(self.linear)])
+        goals = np.array([self.search.goals.get(q.name, 1.0) for q in self.search.objectives])
+        of_goal = np.array([q.name in self.search.goals for q in self.search.objectives])
+        excess = (logs - np.log(np.maximum(goals * linear, LEAST)))[of_goal]
+        return float(excess.max() + ALL * excess.mean())
 
 
 def pareto(
@@ -157,7 +207,7 @@ def values_of(point: Point) -> dict[str, float]:
 
 
 class _Explorer:
-    """Evaluates the points of a search, generation by generation, and remembers the feasible ones."""
+    """Evaluates the points of a search, generation by generation; remembers the feasible ones and the least infeasible."""
 
     def __init__(
         self,
@@ -171,23 +221,42 @@ class _Explorer:
         self.judge, self.search, self.setting = judge, search, setting
         self.report, self.say, self.what = report, say, what
         self.feasible: dict[tuple[float, ...], Array] = {}
+        self.least: tuple[float, dict[str, float]] = (math.inf, {})
         self.told = False
 
     def found(self, first: Array) -> list[_Found]:
         """Return the values, and what they change, of the last generation's front and of the best within the limits."""
         search = self.search
-        last = nondominated(self.evaluated, first, len(search.objectives), search.generations, search.seed)
+        last = nondominated(self._generation, first, len(search.objectives), search.generations, search.seed)
         points = [self._values(shares) for shares in last]
-        points += [dict(zip(points[0], values, strict=True)) for values in self._within_limits()] if points else []
+        if search.goals and (self.feasible or self.least[1]):
+            nearest = self._named(min(self.feasible, key=self._beyond)) if self.feasible else self.least[1]
+            start = np.array([t.share(nearest[t.name]) for t in search.tunables])
+            descended(self._descent, start, search.population * search.generations, search.seed)
+        points += [self._named(values) for values in self._preferred()]
         return [(v, self.setting(v)) for v in {tuple(v.values()): v for v in points}.values()]
 
-    def evaluated(self, generation: int, points: Array) -> tuple[Array, Array]:
-        """Return the logarithms of the objectives (k, n) and the violations (k, 1) of points in the unit cube."""
+    def _generation(self, generation: int, points: Array) -> tuple[Array, Array]:
+        search = self.search
+        left = (search.generations - generation + (search.generations if search.goals else 0)) * search.population
+        return self._evaluated(f"generation {generation} of {search.generations}", points, left)
+
+    def _descent(self, generation: int, generations: int, points: Array) -> Array:
+        left = (generations - generation) * len(points)
+        F, G = self._evaluated(f"towards the goals, generation {generation} of {generations}", points, left)
+        near = [UNFEASIBLE + g if g else self.judge.towards_goals(f) for f, g in zip(F, G.ravel(), strict=True)]
+        return np.array(near)
+
+    def _evaluated(self, stage: str, points: Array, left: int) -> tuple[Array, Array]:
+        """Return the logarithms of the objectives (k, n) and the violations (k, 1) of points in the unit cube.
+
+        `left`: so many points follow at most.
+        """
         begin, counts = time.monotonic(), []
 
         def count(done: int, total: int) -> None:
             counts.append(done)
-            self.report(f"{self.what}generation {generation} of {self.search.generations}", done, total)
+            self.report(f"{self.what}{stage}", done, total)
 
         F, G = np.zeros((len(points), len(self.search.objectives))), np.full((len(points), 1), WORST)
         settings: dict[int, tuple[dict[str, float], Setting]] = {}
@@ -203,27 +272,38 @@ class _Explorer:
             F[i], G[i] = self.judge.searched(draws)
             if G[i] == 0.0:
                 self.feasible[tuple(values.values())] = F[i]
-        self._predict(generation, time.monotonic() - begin, counts[-1] - counts[0])
+            self.least = min(self.least, (float(G[i, 0]), values), key=lambda one: one[0])
+        if counts:
+            self._predict(left, time.monotonic() - begin, counts[-1] - counts[0])
         return F, G
 
     def _values(self, shares: Sequence[float]) -> dict[str, float]:
         return {t.name: t.at(float(share)) for t, share in zip(self.search.tunables, shares, strict=True)}
 
-    def _within_limits(self) -> list[tuple[float, ...]]:
-        """Return the values of the feasible points within the limits that are best in the first objective."""
+    def _named(self, values: Sequence[float]) -> dict[str, float]:
+        return dict(zip([t.name for t in self.search.tunables], values, strict=True))
+
+    def _beyond(self, values: tuple[float, ...]) -> float:
+        return self.judge.towards_goals(self.feasible[values])
+
+    def _preferred(self) -> list[tuple[float, ...]]:
+        """Return the values of feasible points: nearest to the goals, or within the limits best in the first objective."""
+        most = self.search.population // SHARE
+        if self.search.goals:
+            return sorted(self.feasible, key=self._beyond)[:most]
         names = [q.name for q in self.search.objectives]
         linear = self.judge.objectives(self.judge.linear)
-        most = {
+        limits = {
             names.index(name): factor * linear[names.index(name)].value for name, factor in self.search.bounds.items()
         }
-        able = [v for v, F in self.feasible.items() if all(math.exp(F[i]) <= limit for i, limit in most.items())]
-        return sorted(able, key=lambda v: tuple(self.feasible[v]))[: self.search.population // SHARE]
+        able = [v for v, F in self.feasible.items() if all(math.exp(F[i]) <= limit for i, limit in limits.items())]
+        return sorted(able, key=lambda v: tuple(self.feasible[v]))[:most]
 
-    def _predict(self, generation: int, seconds: float, runs: int) -> None:
-        """Say, after the first generation that ran anything, what the others will take."""
+    def _predict(self, left: int, seconds: float, runs: int) -> None:
+        """Say, after the first generation that ran anything, what the others will take, of `left` points."""
         if self.told or not runs:
             return
-        left = (self.search.generations - generation) * self.search.population * len(self.judge.problem.numbers)
+        left *= len(self.judge.problem.numbers) * len(self.search.circumstances)
         rest = f"the generations that follow are up to {left} runs, about {left * seconds / runs:.0f} s"
         self.say(f"{runs} runs in {seconds:.1f} s; {rest}")
         self.told = True
@@ -234,7 +314,7 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Seque
     problem, search = judge.problem, judge.search
     way = [(values_of(p), problem.changes(p, rule.designs[p.mu, p.u_max])) for p in rule.way]
     rows: list[tuple[str, Mapping[str, float], Mapping[str, Any], Setting | None]] = [
-        (LC, {}, judge.controller.linear(), None),
+        (LC, {}, judge.linear_changes, None),
         *((RULE, values, changes, None) for values, changes in way),
         *((FRONT, values, setting.changes, setting) for values, setting in found),
         *((RETUNED, values, setting.changes, setting) for values, setting in retuned),
@@ -245,13 +325,13 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Seque
     held = judge.runs(changes, unseen, lambda done, total: report("draws held out", done, total))
     points = [
         ParetoPoint(
-            LOST if judge.violation(draws, held[0]) else kind,
+            LOST if judge.violation(draws, held[0], found=kind in (FRONT, RETUNED)) else kind,
             values,
             tuple(e.value for e in judge.objectives(seen)),
             judge.objectives(draws),
-            tuple(change_over(draws, held[0], q) for q in search.objectives),
-            len(kept(draws)),
-            len(draws),
+            judge.changes(draws, held[0]),
+            len(kept(draws[AS_IT_STANDS.name])),
+            len(unseen),
             setting,
         )
         for (kind, values, _, setting), seen, draws in zip(rows, searched, held, strict=True)
@@ -267,7 +347,7 @@ def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Seque
     over = None
     if chosen is not None and best is not None:
         pair = draws_of[id(chosen)], draws_of[id(best)]
-        over = best, tuple(change_over(*pair, q) for q in search.objectives)
+        over = best, judge.changes(*pair)
     return Front(search, tuple(left), chosen, rule, bool(problem.chance), over)
 
 
@@ -285,9 +365,13 @@ def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
 def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoPoint | None:
     """Return the point of a kind that keeps the limits in all draws and has the least first objective in the search's.
 
-    The held-out draws do not choose, so that what they say of the chosen point is not flattered.
+    With goals, the one that is nearest to them in the search's. The held-out draws do not choose, so that what they say of
+    the chosen point is not flattered.
     """
     linear, names = points[0], [q.name for q in search.objectives]
+    if search.goals:
+        some = [p for p in points if p.kind == kind]
+        return min(some, key=lambda p: search.beyond(p.searched, linear.searched), default=None)
     limits = {names.index(name): factor for name, factor in search.bounds.items()}
     able = [
         p

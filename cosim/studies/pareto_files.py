@@ -105,9 +105,10 @@ def _panel(axis: Any, front: Front, i: int, j: int) -> None:
     if front.chosen is not None:
         draw([front.chosen], "o", ms=13, mfc="none", mew=2, color=OTHERS[1], label="chosen")
     for k, line in ((i, axis.axvline), (j, axis.axhline)):
-        if q[k].name in front.search.bounds:
-            limit = front.search.bounds[q[k].name] * front.linear.held_out[k].value
-            line(limit, ls="--", lw=1, color=OTHERS[5], label="limit" if k == j else None)
+        for what, factors in (("limit", front.search.bounds), ("goal", front.search.goals)):
+            if q[k].name in factors:
+                value = factors[q[k].name] * front.linear.held_out[k].value
+                line(value, ls="--", lw=1, color=OTHERS[5], label=what if k == j else None)
     shown = [p for p in front.points if p.kind != LOST]
     for k, scale, label in ((i, axis.set_xscale, axis.set_xlabel), (j, axis.set_yscale, axis.set_ylabel)):
         label(literal(q[k].heading))

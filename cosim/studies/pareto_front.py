@@ -1,6 +1,7 @@
 """What a search for a front is asked for, and what it came to: points, the chosen one, and whether the LC gains.
 
-The names of objectives are metrics or roles: `settling` is the one metric that says when a run has settled.
+The names of objectives are metrics or roles: `settling` is the one metric that says when a run has settled, `rms@pushed`
+the one of the steady state in the case `pushed`.
 """
 
 from __future__ import annotations
@@ -8,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from fmu_export.errors import UserError
 
 from ..metric_meanings import MetricMeaning
+from .cases import AS_IT_STANDS, OF, Case, Objective
 from .estimates import MeanEstimate, change_text
 from .tunables import Setting, Tunable
 from .tuning import ROLES, Tuning
@@ -27,14 +30,19 @@ is better than in every objective, or one that is infeasible."""
 class Search:
     """How the front is looked for.
 
-    `objectives`: metrics to make small, the first above all; `tunables`: the numbers that are varied; `limits`: largest
+    `objectives`: what to make small, the first above all; `tunables`: the numbers that are varied; `limits`: largest
     values of objectives for the chosen point, relative to the LC's, by the objective's name, empty: 1 for every one but
-    the first. `held_out`: draws that judge. `linear`: whether the LC's own front is looked for too.
+    the first. `goals`: values, as relative, to which the chosen point comes nearest instead, and towards which the search
+    goes on. `cases`: what points are run in besides the scenario as it stands. `reference`: what the LC of the comparison
+    has otherwise. `held_out`: draws that judge. `linear`: whether the LC's own front is looked for too.
     """
 
-    objectives: tuple[MetricMeaning, ...]
+    objectives: tuple[Objective, ...]
     tunables: tuple[Tunable, ...]
     limits: Mapping[str, float] = field(default_factory=dict)
+    goals: Mapping[str, float] = field(default_factory=dict)
+    cases: tuple[Case, ...] = ()
+    reference: Mapping[str, Any] = field(default_factory=dict)
     population: int = 32
     generations: int = 20
     held_out: int = 64
@@ -47,25 +55,56 @@ class Search:
                 raise UserError(f"{name.replace('_', '-')} must be at least {least}, found {getattr(self, name)}")
         if not self.tunables:
             raise UserError("a front needs numbers to tune, found none")
-        for name, factor in self.limits.items():
-            if not 0.0 < factor < math.inf:
-                raise UserError(f"the limit of {name} must be positive and finite, found {factor}")
+        for what, factors in (("limit", self.limits), ("goal", self.goals)):
+            for name, factor in factors.items():
+                if not 0.0 < factor < math.inf:
+                    raise UserError(f"the {what} of {name} must be positive and finite, found {factor}")
+        if self.goals and len(self.tunables) < 2:
+            names = ", ".join(t.name for t in self.tunables)
+            raise UserError(f"a search for goals needs two or more numbers to tune, found {names}")
+        if self.limits and self.goals:
+            raise UserError("the chosen point either keeps limits or comes nearest to goals, found both")
 
     @property
     def bounds(self) -> dict[str, float]:
         """The limits of the chosen point."""
-        return dict(self.limits) or {q.name: 1.0 for q in self.objectives[1:]}
+        return {} if self.goals else dict(self.limits) or {q.name: 1.0 for q in self.objectives[1:]}
+
+    @property
+    def circumstances(self) -> tuple[Case, ...]:
+        """All cases, the scenario as it stands first."""
+        return (AS_IT_STANDS, *self.cases)
+
+    def beyond(self, values: Sequence[float], linear: Sequence[float]) -> float:
+        """Return the largest ratio of a value to its goal (goal attainment: the smaller the better; up to 1 all are met)."""
+        ratios = zip(self.objectives, values, linear, strict=True)
+        return max(
+            value / (self.goals[q.name] * base) if base else math.inf
+            for q, value, base in ratios
+            if q.name in self.goals
+        )
 
 
-def objectives_of(names: Sequence[str], quantities: Mapping[str, MetricMeaning]) -> tuple[MetricMeaning, ...]:
-    """Return the metrics of these names, or of these roles where one metric has the role.
+def objectives_of(
+    names: Sequence[str], quantities: Mapping[str, MetricMeaning], cases: Sequence[Case] = ()
+) -> tuple[Objective, ...]:
+    """Return the metrics of these names, or of these roles where one metric has the role; NAME@CASE is one of a case.
 
     Raises UserError for others, for one that is named twice, and for fewer than two.
     """
-    found = tuple(metric(name.strip(), quantities) for name in names)
+    found = tuple(_objective(name.strip(), quantities, cases) for name in names)
     if len({q.name for q in found}) < max(2, len(found)):
         raise UserError(f"a front needs two or more different objectives, found {', '.join(names)}")
     return found
+
+
+def _objective(name: str, quantities: Mapping[str, MetricMeaning], cases: Sequence[Case]) -> Objective:
+    role, of, case = name.partition(OF)
+    measured = [c.name for c in cases if not c.rest]
+    if of and case not in measured:
+        known = f"one of {', '.join(measured)}" if measured else "given with --case"
+        raise UserError(f"the case of {name!r} must be {known}, found {case!r}")
+    return Objective(metric(role, quantities), case)
 
 
 def metric(name: str, quantities: Mapping[str, MetricMeaning]) -> MetricMeaning:
@@ -79,28 +118,34 @@ def metric(name: str, quantities: Mapping[str, MetricMeaning]) -> MetricMeaning:
     raise UserError(f"an objective must be one of {', '.join(ROLES)}, or of {', '.join(able)}, found {name!r}")
 
 
-def limits_of(texts: Sequence[str], objectives: Sequence[MetricMeaning]) -> dict[str, float]:
-    """Return the limits by the objectives' names, of texts NAME=FACTOR; raises UserError for others."""
-    limits: dict[str, float] = {}
+def factors_of(option: str, texts: Sequence[str], objectives: Sequence[Objective]) -> dict[str, float]:
+    """Return numbers by the objectives' names, of an option's texts NAME=FACTOR; raises UserError for others."""
+    factors: dict[str, float] = {}
     for text in texts:
         name, _, factor = text.partition("=")
         try:
             value = float(factor)
         except ValueError:
-            raise UserError(f"--limit takes NAME=FACTOR, found {text!r}") from None
-        q = _limited(name.strip(), objectives)
-        if q.name in limits:
-            raise UserError(f"--limit names {name.strip()} twice")
-        limits[q.name] = value
-    return limits
+            raise UserError(f"{option} takes NAME=FACTOR, found {text!r}") from None
+        q = _named(option, name.strip(), objectives)
+        if q.name in factors:
+            raise UserError(f"{option} names {name.strip()} twice")
+        factors[q.name] = value
+    return factors
 
 
-def _limited(name: str, objectives: Sequence[MetricMeaning]) -> MetricMeaning:
-    try:
-        return metric(name, {q.name: q for q in objectives})
-    except UserError:
-        names = ", ".join(q.name for q in objectives)
-        raise UserError(f"--limit {name} is none of the objectives of --pareto: {names}") from None
+def _named(option: str, name: str, objectives: Sequence[Objective]) -> Objective:
+    role, _, case = name.partition(OF)
+    able = [q for q in objectives if q.case == case and role in (q.quantity.name, q.quantity.role)]
+    if not able:
+        raise UserError(
+            f"{option} {name} is none of the objectives of --pareto: {', '.join(q.name for q in objectives)}"
+        )
+    if len(able) > 1:
+        raise UserError(
+            f"{option} {name} means several objectives: {', '.join(q.name for q in able)}; name one of them"
+        )
+    return able[0]
 
 
 @dataclass(frozen=True)
@@ -145,6 +190,14 @@ class Front:
         return [p for p in self.points if p.kind == kind]
 
     @property
+    def met(self) -> bool:
+        """Whether the chosen point meets all goals in the draws that the search did not see."""
+        if self.chosen is None or not self.search.goals:
+            return False
+        held = [[e.value for e in p.held_out] for p in (self.chosen, self.linear)]
+        return self.search.beyond(held[0], held[1]) <= 1.0
+
+    @property
     def gains(self) -> bool:
         """Whether the chosen point is decidedly better than the LC in the first objective."""
         if self.chosen is None:
@@ -153,7 +206,9 @@ class Front:
         return first.decided < 0 if self.random else first.value < 0.0
 
     def verdict(self) -> str:
-        """Return in a sentence whether the LC gains, with the numbers of the held-out draws."""
+        """Return in a sentence whether the LC gains, or the goals are met, with the numbers of the held-out draws."""
+        if self.search.goals:
+            return self._attained()
         first, *_ = self.search.objectives
         within = " and ".join(
             f"{_symbol(self, name)} at most {x:g} times the LC's" for name, x in self.search.bounds.items()
@@ -170,17 +225,30 @@ class Front:
         changes = ", ".join(
             f"{q.symbol} {change_text(e)}" for q, e in zip(self.search.objectives, self.chosen.over_linear, strict=True)
         )
-        drawn = (
-            f"in {self.chosen.draws} draws that the search did not see"
-            if self.random
-            else "in the one run that there is"
-        )
         if self.gains:
-            return f"the LC gains: with {within} the chosen point has over the LC {changes}, {drawn}"
+            return f"the LC gains: with {within} the chosen point has over the LC {changes}, {self._drawn}"
         return (
             f"no gain in {first.symbol} was found: with {within} no point is decidedly better; the best found has over the "
-            f"LC {changes}, {drawn}"
+            f"LC {changes}, {self._drawn}"
         )
+
+    @property
+    def _drawn(self) -> str:
+        count = self.linear.draws
+        return f"in {count} draws that the search did not see" if self.random else "in the one run that there is"
+
+    def _attained(self) -> str:
+        """Return in a sentence whether the goals are met, each value over the LC's with its goal."""
+        if self.chosen is None:
+            return "the goals are out of sight: all that was found loses the plant"
+        rows = zip(self.search.objectives, self.chosen.held_out, self.linear.held_out, strict=True)
+        said = []
+        for q, value, base in rows:
+            ratio, goal = value.value / base.value, self.search.goals.get(q.name)
+            missed = "" if goal is None or ratio <= goal else ", missed"
+            said.append(f"{q.symbol} {ratio:.3g}" + ("" if goal is None else f" (goal {goal:.3g}{missed})"))
+        begin = "the goals are met" if self.met else "the goals are not met together; the nearest that was found"
+        return f"{begin}: times the LC's, {self._drawn}: {'; '.join(said)}"
 
     def over_retuned(self) -> str:
         """Return in a sentence what the chosen point has over the LC at its own best tuning; empty where none was sought."""

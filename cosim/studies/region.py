@@ -25,6 +25,7 @@ from ..scenario import Scenario
 from ..scenario_run import run_scenario, with_tolerances
 from ..scenario_system import build_system, controller_values, evaluation, plant_values
 from ..unit_definitions import unit_of
+from .cases import FIRST, without_supervisor
 from .certified_section import certified
 from .draws import Chance, chance_of, draw_changes
 from .engine import Workers, run_numbers
@@ -43,9 +44,6 @@ USUAL_LAWS = ("LC", "IHC")
 """Laws that are looked at unless others are named, those of them that the controller has."""
 AS_IT_STANDS = "controller"
 """What stands for the law of a controller that has no choice of laws."""
-
-FIRST = 2.5
-"""Communication steps within which a law acts from the start: one of them is the coupling's."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +110,8 @@ class RegionProblem:
     @cached_property
     def opened_scenario(self) -> Scenario:
         """The scenario with the pendulum's supervisor open, unless it stays, and every row recorded."""
-        own = controller_values(self.scenario, self.fmus, self.folder)
-        changes: dict[str, Any] = {"record.every": 1}
-        if self.from_first:
-            own = {**own, **self.scenario.controller.start}
-            opened_values = {**pendulum.ALWAYS_CAPTURED, "capture_angle": own["fall_back_angle"]}
-            changes |= {f"controller.start.{name}": value for name, value in opened_values.items()}
-        return self.scenario.changed(changes)
+        free = {} if self.supervisor else without_supervisor(self.scenario, self.fmus, self.folder)
+        return self.scenario.changed({"record.every": 1, **free})
 
     @cached_property
     def from_first(self) -> bool:

@@ -31,8 +31,9 @@ from ..wiring import CONTROLLER
 from .ranges import Range, range_of
 from .tuning import TuningProblem, design_start
 
-MU, U_MAX = "mu", "u_max"
-"""Minus the degree of homogeneity; the scale of P: the largest |(K - K_0) x| of the first input on the unit ball."""
+MU, U_MAX, ALPHA = "mu", "u_max", "alpha"
+"""Minus the degree of homogeneity; the scale of P: the largest |(K - K_0) x| of the first input on the unit ball; the rate
+of decay that the matrix inequality asks for."""
 NOISE_UNITS = {"voltage_noise": "V² s", "disturbance_noise": "V²/s", "bias_noise": "rad²/s"}
 """Of the pendulum's Kalman filter, as in `KalmanOptions`."""
 NOISES = tuple(NOISE_UNITS)
@@ -41,10 +42,12 @@ A_MIN, B_MAX = Range(0.05, 1.0), Range(1.0, 5.0)
 MUS = Range(0.5, 1.0)
 SCALES = (1 / 3, 10.0)
 """Of u_max, times the design's."""
-SPREAD = (1 / 30, 30.0)
+SPREAD = (1 / 100, 100.0)
 """Of the noises, times the usual ones."""
 GAINS = (0.5, 2.0)
 """Of the entries of K, times the design's."""
+RATES = (1 / 4, 4.0)
+"""Of alpha, times the design's."""
 DECADE = 10.0
 DIGITS = 4
 """Significant digits of a number that is tried: more would be read by nobody."""
@@ -133,7 +136,7 @@ class TunedController:
         """The present value of all that can be tuned."""
         values = {name: float(self.own[name]) for name in self._plain}
         if self.redesigned and self.design is not None:
-            values |= {MU: self.design.mu, U_MAX: float(self.design.u_max[0])}
+            values |= {MU: self.design.mu, U_MAX: float(self.design.u_max[0]), ALPHA: self.design.alpha}
             values |= dict(zip(self.gains, self.design.K.ravel().tolist(), strict=True))
         if self.filtered:
             values |= {name: getattr(KalmanOptions(), name) for name in NOISES}
@@ -153,11 +156,12 @@ class TunedController:
         ]
 
     def tunables(self, over: Mapping[str, Range], gain: bool = False) -> list[Tunable]:
-        """Return what is tuned: the numbers in `over`, empty: the usual ones; with `gain`, the entries of K too.
+        """Return what is tuned: the numbers in `over`, empty: the usual ones; with `gain`, the entries of K and alpha too.
 
         Raises UserError for a number that cannot be tuned, or not in its range.
         """
-        ranges = {**(over or self._usual()), **(self._gains() if gain else {})}
+        free = {**self._gains(), ALPHA: _around(self.start[ALPHA], RATES)} if gain else {}
+        ranges = {**(over or self._usual()), **{name: limits for name, limits in free.items() if name not in over}}
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
     def of_linear(self) -> list[Tunable]:
@@ -201,7 +205,7 @@ class TunedController:
                 f"controller.{name} cannot be tuned{did_you_mean(name, self.start)}; what can: {', '.join(self.start)}"
             )
         low, high = (float(end) for end in self._ends(name))
-        positive = name in (MU, U_MAX, *NOISES)
+        positive = name in (MU, U_MAX, ALPHA, *NOISES)
         if not low <= limits.low < limits.high <= high or (positive and limits.low <= 0.0):
             raise UserError(
                 f"controller.{name} must lie in {'(' if positive else '['}{low:g}, {high:g}], "
@@ -221,6 +225,8 @@ class TunedController:
         """Return the unit of a number; empty where it has none."""
         if name in NOISE_UNITS:
             return NOISE_UNITS[name]
+        if name == ALPHA:
+            return "1/s"
         if name == U_MAX and self.design is not None:
             return self.design.system.inputs[0].unit
         unit = getattr(self.variables.get(name), "unit", None)
@@ -246,9 +252,9 @@ class TunedController:
         if d is None or not self.redesigned:
             return d
         K = np.array([values.get(name, k) for name, k in zip(self.gains, d.K.ravel(), strict=True)]).reshape(d.K.shape)
-        mu, u_max = values.get(MU, d.mu), values.get(U_MAX, float(d.u_max[0]))
-        same = mu == d.mu and (d.K == K).all()
-        solved = d if same else _solved(d, mu, tuple(K.ravel().tolist()))
+        mu, u_max, alpha = values.get(MU, d.mu), values.get(U_MAX, float(d.u_max[0])), values.get(ALPHA, d.alpha)
+        same = (mu, alpha) == (d.mu, d.alpha) and (d.K == K).all()
+        solved = d if same else _solved(d, mu, alpha, tuple(K.ravel().tolist()))
         bounds = d.u_max * (u_max / d.u_max[0])
         return solved if (solved.u_max == bounds).all() else solved.scaled_to(u_max=bounds.tolist())
 
@@ -276,9 +282,9 @@ def _around(value: float, factors: tuple[float, float]) -> Range:
 
 
 @lru_cache(maxsize=256)  # a matrix inequality
-def _solved(design: Design, mu: float, K: tuple[float, ...]) -> Design:
+def _solved(design: Design, mu: float, alpha: float, K: tuple[float, ...]) -> Design:
     system = design.system.changed(K=np.reshape(K, design.K.shape))
-    return inverse_design(system, Options(mu=mu, alpha=design.alpha, u_max=design.u_max.tolist()))
+    return inverse_design(system, Options(mu=mu, alpha=alpha, u_max=design.u_max.tolist()))
 
 
 def _entries(values: Mapping[str, Value]) -> dict[str, Value]:

@@ -13,11 +13,12 @@ from cosim.metric_meanings import QUANTITIES
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
 from cosim.studies import pareto as searching
+from cosim.studies.cases import Case, cases_of
 from cosim.studies.draws import draw_changes
 from cosim.studies.estimates import MeanEstimate
 from cosim.studies.journal import Journal
-from cosim.studies.nsga import nondominated
 from cosim.studies.numbers import PURPOSE, numbers
+from cosim.studies.optimizers import descended, nondominated
 from cosim.studies.pareto import pareto
 from cosim.studies.pareto_files import save
 from cosim.studies.pareto_front import (
@@ -30,7 +31,7 @@ from cosim.studies.pareto_front import (
     Front,
     ParetoPoint,
     Search,
-    limits_of,
+    factors_of,
     objectives_of,
 )
 from cosim.studies.ranges import Range
@@ -64,6 +65,27 @@ def test_the_search_finds_the_feasible_front_and_the_same_again():
 def test_a_search_without_a_feasible_point_finds_none():
     found = nondominated(lambda _g, x: (np.ones((len(x), 2)), np.ones((len(x), 1))), np.eye(4, 2), 2, 2, 1)
     assert len(found) == 0
+
+
+def test_the_descent_ends_near_the_least_value_and_takes_the_same_way_again():
+    """A bowl with a wall beside its bottom, in five numbers."""
+
+    def bowl(generation, generations, points):
+        seen.append((generation, generations, points))
+        return ((points - 0.3) ** 2 @ [1.0, 4.0, 9.0, 1.0, 1.0]) + 100.0 * (points[:, 0] < 0.28)
+
+    ways = []
+    for seed in (1, 1, 2):
+        seen = []
+        descended(bowl, np.full(5, 0.9), 600, seed)
+        ways.append(np.vstack([points for *_, points in seen]))
+        assert [s[0] for s in seen] == list(range(1, len(seen) + 1))
+        assert {s[1] for s in seen} == {38}
+    np.testing.assert_allclose(ways[0][-1], 0.3, atol=0.05)
+    np.testing.assert_array_equal(ways[0], ways[1])
+    assert not np.array_equal(ways[0], ways[2])
+    assert ways[0].min() >= 0.0
+    assert ways[0].max() <= 1.0
 
 
 # What is asked for
@@ -109,7 +131,7 @@ def test_objectives_that_cannot_be_are_refused_in_a_sentence(names, quantities, 
 
 
 def test_limits_are_of_objectives_and_without_any_all_but_the_first_are_limited():
-    assert limits_of(["energy=1.2", "variation=2"], THREE) == {"energy": 1.2, "voltage_variation": 2.0}
+    assert factors_of("--limit", ["energy=1.2", "variation=2"], THREE) == {"energy": 1.2, "voltage_variation": 2.0}
     assert Search(THREE, TUNABLES).bounds == {"energy": 1.0, "voltage_variation": 1.0}
     assert Search(THREE, TUNABLES, {"energy": 1.2}).bounds == {"energy": 1.2}
     for text, sentence in {
@@ -117,9 +139,53 @@ def test_limits_are_of_objectives_and_without_any_all_but_the_first_are_limited(
         "rms=1": "--limit rms is none of the objectives of --pareto: settling_time",
     }.items():
         with pytest.raises(UserError, match=sentence):
-            limits_of([text], THREE)
+            factors_of("--limit", [text], THREE)
     with pytest.raises(UserError, match="--limit names energy twice"):
-        limits_of(["energy=1", "energy=2"], THREE)
+        factors_of("--limit", ["energy=1", "energy=2"], THREE)
+
+
+def test_cases_are_given_by_entries_and_objectives_can_be_of_one():
+    pushed, away = cases_of(
+        [("pushed:disturbance.gain", 60.0), ("pushed:plant.parameters", "hcs")], [("plant.start.delta_0", 0.6)]
+    )
+    assert pushed == Case("pushed", {"disturbance.gain": 60.0, "plant.parameters": "hcs"})
+    assert away == Case("plant.start.delta_0=0.6", {"plant.start.delta_0": 0.6}, rest=True)
+    settling, steady = objectives_of(["settling", "rms@pushed"], QUANTITIES, [pushed, away])
+    assert (settling.name, settling.case) == ("settling_time", "")
+    assert (steady.name, steady.case) == ("steady_rms@pushed", "pushed")
+    assert steady.heading == "steady RMS |q|, pushed [rad]"
+    assert factors_of("--goal", ["rms@pushed=0.1"], [settling, steady]) == {"steady_rms@pushed": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("ask", "sentence"),
+    [
+        (lambda: cases_of([("disturbance.gain", 60.0)], []), "--case takes NAME:ENTRY=VALUE with a name of letters"),
+        (lambda: cases_of([("a:b.c", 1.0), ("a:b.c", 2.0)], []), "--case gives b.c twice in a"),
+        (lambda: cases_of([], [("b.c", 1.0), ("b.c", 1.0)]), "--hold gives the same entry and value twice"),
+        (
+            lambda: objectives_of(["settling", "rms@push"], QUANTITIES, [Case("pushed")]),
+            "the case of 'rms@push' must be one of pushed, found 'push'",
+        ),
+        (
+            lambda: objectives_of(["settling", "rms@a"], QUANTITIES, [Case("a", rest=True)]),
+            "the case of 'rms@a' must be given with --case, found 'a'",
+        ),
+        (
+            lambda: Search(THREE, TUNABLES, {"energy": 1.0}, {"energy": 1.0}),
+            "the chosen point either keeps limits or comes nearest to goals, found both",
+        ),
+        (lambda: Search(THREE, TUNABLES, goals={"energy": -1.0}), "the goal of energy must be positive and finite"),
+        (
+            lambda: Search(THREE, TUNABLES[:1], goals={"energy": 1.0}),
+            "a search for goals needs two or more numbers to tune, found a_min",
+        ),
+    ],
+)
+def test_cases_and_goals_that_cannot_be_are_refused_in_a_sentence(ask, sentence):
+    with pytest.raises(UserError) as said:
+        ask()
+    assert str(said.value).startswith(sentence)
 
 
 @pytest.mark.parametrize(
@@ -148,8 +214,8 @@ def point(kind, searched, held=None, half=0.01, a_min=0.5):
     return ParetoPoint(kind, values, tuple(searched), tuple(map(MeanEstimate, held)), over, 8, 8)
 
 
-def front(*points, limits=None):
-    search = Search(THREE, TUNABLES, limits or {})
+def front(*points, limits=None, goals=None):
+    search = Search(THREE, TUNABLES, limits or {}, goals or {})
     linear = point(LC, (1.0, 1.0, 1.0))
     stop = Outcome(Point(None, None, 1.0, 1.0), 1.0, 1.0, 8, 8)
     rule = Tuning("settling_time", {stop.point: stop}, (stop.point,), stop, {})
@@ -185,6 +251,27 @@ def test_the_verdict_says_what_is_gained_or_that_nothing_is():
     assert none.startswith("the LC does not gain: no point of the front keeps ∫V² dt at most 1 times")
     assert "settling -50.0 ± 1.0 % better, ∫V² dt +20.0 ± 1.0 % worse" in none
     assert "all that was found loses the plant" in front(point(LOST, (0.5, 0.5, 0.5))).verdict()
+
+
+GOALS = {"settling_time": 0.5, "voltage_variation": 0.8}
+
+
+def test_with_goals_the_nearest_point_is_chosen_and_each_goal_is_said_to_be_met_or_missed():
+    """The largest ratio to a goal counts, in the search's draws: 1.2, 1.1 and 1.25; energy has none."""
+    left, near, right = point(FRONT, (0.6, 0.1, 0.7)), point(FRONT, (0.55, 3.0, 0.8)), point(FRONT, (0.3, 0.1, 1.0))
+    found = front(left, near, right, point(LOST, (0.1, 0.1, 0.1)), goals=GOALS)
+    assert found.chosen is near
+    assert not found.met
+    assert found.verdict() == (
+        "the goals are not met together; the nearest that was found: times the LC's, in 8 draws that the search did not "
+        "see: settling 0.55 (goal 0.5, missed); ∫V² dt 3; variation of V 0.8 (goal 0.8)"
+    )
+    lucky = front(point(FRONT, (0.6, 0.1, 0.7), (0.4, 0.1, 0.7)), goals=GOALS)
+    assert lucky.met
+    assert lucky.verdict().startswith(
+        "the goals are met: times the LC's, in 8 draws that the search did not see: settling"
+    )
+    assert front(point(LOST, (0.5, 0.5, 0.5)), goals=GOALS).verdict().startswith("the goals are out of sight: all that")
 
 
 def test_where_the_chosen_point_is_at_the_end_of_a_range_it_is_said():
@@ -285,12 +372,12 @@ def test_a_point_that_loses_the_plant_is_infeasible_and_so_is_one_out_of_reach(f
 
     with Journal(tmp_path / "runs", PURPOSE) as journal:
         judge = searching._Judge(tilt, search, TunedController(tilt, design), journal, 1)
-        judge.linear, judge.reach = [draw(), draw()], [4.0, 4.0]
-        assert judge.searched([draw(energy=2.0), draw(energy=4.0)]) == (pytest.approx([0.0, math.log(3.0)]), 0.0)
-        violations = [judge.searched(draws)[1] for draws in ([draw(energy=9.0)] * 2, [draw(), {}], [{}, {}])]
+        judge.linear, judge.reach = {"": [draw(), draw()]}, [4.0, 4.0]
+        assert judge.searched({"": [draw(energy=2.0), draw(energy=4.0)]}) == (pytest.approx([0.0, math.log(3.0)]), 0.0)
+        violations = [judge.searched({"": draws})[1] for draws in ([draw(energy=9.0)] * 2, [draw(), {}], [{}, {}])]
         assert 0.0 < violations[0] < 1.0 < violations[1] < violations[2] == searching.WORST
-        judge.linear = [draw(), draw(kept=0.0)]
-        assert judge.searched([draw(), {}])[1] == 0.0  # the LC loses one too
+        judge.linear = {"": [draw(), draw(kept=0.0)]}
+        assert judge.searched({"": [draw(), {}]})[1] == 0.0  # the LC loses one too
 
 
 def test_the_chosen_point_is_written_as_a_scenario_that_gives_its_numbers(found, tilt, search, tmp_path):
@@ -334,6 +421,86 @@ def test_the_linear_controller_is_tuned_as_freely_and_judged_beside(found, tilt,
     assert kinds.count("retuned LC") == len(own)
 
 
+@pytest.fixture(scope="module")
+def goals(tilt, search):
+    """Twice the LC's energy at half its integral, with a push and another start, against the LC with the true state."""
+    cases = cases_of(
+        [("pushed:disturbance.gain", 60.0), ("pushed:disturbance.sines", [{"amplitude": 0.02, "frequency": 10.0}])],
+        [("plant.start.delta_0", 0.12)],
+    )
+    return dataclasses.replace(
+        search,
+        objectives=objectives_of(["integral", "energy", "integral@pushed"], QUANTITIES, cases),
+        limits={},
+        goals={"integral_q2": 0.5, "energy": 2.0, "integral_q2@pushed": 0.5},
+        cases=cases,
+        reference={"plant.measurement": "ideal"},
+        generations=2,
+    )
+
+
+def test_the_search_goes_on_towards_the_goals_and_is_judged_in_each_case(tilt, goals, design, tmp_path):
+    stages, said = [], []
+    problem = dataclasses.replace(tilt, scenario=tilt.scenario.changed({"run.duration": 6.0}))
+    with Journal(tmp_path / "runs.sqlite", PURPOSE) as journal:
+        front = pareto(
+            problem,
+            goals,
+            TunedController(problem, design),
+            GRID,
+            journal,
+            2,
+            lambda what, *_: stages.append(what),
+            said.append,
+        )
+    assert dict.fromkeys(s for s in stages if "generation" in s) == dict.fromkeys(
+        ["generation 1 of 2", "generation 2 of 2", "towards the goals, generation 1 of 1"]
+    )
+    assert front.chosen is not None
+    assert front.chosen.setting is not None
+    scenario = problem.base.changed(dict(front.chosen.setting.changes))
+    linear = problem.base.changed({"controller.start.law": "LC", "plant.measurement": "ideal"})
+    for base, p in ((scenario, front.chosen), (linear, front.linear)):
+        for q, value in zip(goals.objectives, p.held_out, strict=True):
+            changes = next((c.changes for c in goals.cases if c.name == q.case), {})
+            drawn = [base.changed({**changes, **draw_changes(base, n)}) for n in range(5, 9)]
+            runs = [numbers(run_scenario(one, problem.fmus, problem.folder)) for one in drawn]
+            assert value.value == pytest.approx(np.mean([run[q.quantity.name] for run in runs]), rel=1e-12)
+    assert all(
+        front.search.beyond(p.searched, front.linear.searched)
+        >= front.search.beyond(front.chosen.searched, front.linear.searched)
+        for p in front.of(FRONT)
+    )
+
+
+def test_a_point_must_come_to_rest_from_where_it_is_held_whatever_the_linear_controller_does(
+    tilt, goals, design, tmp_path
+):
+    with Journal(tmp_path / "runs", PURPOSE) as journal:
+        judge = searching._Judge(tilt, goals, TunedController(tilt, design), journal, 1)
+    (held,) = (case for case in goals.cases if case.rest)
+    fine = {"kept": 1.0, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": 1.0, "capture_time": 0.002}
+    rest, astray = {**fine, "settling_time": 0.2}, {**fine, "settling_time": math.nan}
+    late = {**rest, "capture_time": 0.3}
+    judge.reach = [math.inf] * 3
+    judge.linear = {"": [fine, fine], "pushed": [fine, fine], held.name: [astray, astray]}
+    for draws, violation in (([rest, rest], 0.0), ([rest, astray], 1.0 + 0.5 / 3), ([late, {}], 1.0 + 1.0 / 3)):
+        runs = {"": [fine, fine], "pushed": [fine, fine], held.name: draws}
+        assert judge.violation(runs, judge.linear) == pytest.approx(violation)
+        assert judge.violation(runs, judge.linear, found=False) == 0.0
+
+
+def test_a_case_of_what_the_tuning_decides_is_refused(tilt, goals, design, tmp_path):
+    asked = dataclasses.replace(goals, cases=(*goals.cases, Case("mild", {"controller.start.a_min": 0.5})))
+    with (
+        Journal(tmp_path / "runs", PURPOSE) as journal,
+        pytest.raises(
+            UserError, match=r"a case must not change what the tuning decides, found controller\.start\.a_min"
+        ),
+    ):
+        pareto(tilt, asked, TunedController(tilt, design), GRID, journal, 2)
+
+
 def test_an_objective_that_the_linear_controller_lacks_is_refused(tilt, search, design, tmp_path):
     asked = dataclasses.replace(search, objectives=objectives_of(["integral", "rms"], QUANTITIES), limits={})
     with (
@@ -371,7 +538,7 @@ def test_the_command_prints_and_writes_the_front_and_says_when_none_keeps_the_li
     [
         (
             ("--limit", "energy=1"),
-            "--over, --gain, --linear, --limit, --population, --generations, --held-out and --seed are for",
+            "--over, --gain, --linear, --limit, --goal, --case, --hold, --reference, --population, --generations, --held",
         ),
         (("--pareto", "settling,energy", "--measure", "energy"), "--measure and --most-chattering are for the rule"),
         (("--pareto", "settling,elegance"), "an objective must be one of integral, rms, settling, energy, variation"),

@@ -56,7 +56,7 @@ def test_shares_and_values_are_each_others_inverse_and_evenly_spread(low_high):
 def test_the_usual_numbers_are_those_that_act(tuned, cart):
     assert [t.name for t in tuned().tunables({})] == ["a_min", "b_max", "u_max", "mu", *NOISES]
     assert [t.name for t in tuned("tilt").tunables({})] == ["a_min", "b_max", "u_max", "mu"]
-    assert [t.name for t in cart.tunables({}, gain=True)] == ["a_min", "b_max", "u_max", "K_1_1", "K_1_2"]
+    assert [t.name for t in cart.tunables({}, gain=True)] == ["a_min", "b_max", "u_max", "K_1_1", "K_1_2", "alpha"]
     assert [t.name for t in cart.tunables({"b_max": Range(1.0, 2.0)})] == ["b_max"]
     for t in (*tuned().tunables({}, gain=True), *cart.tunables({}, gain=True)):
         controller = cart if t.name.startswith("K") else tuned()

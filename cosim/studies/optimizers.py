@@ -1,10 +1,12 @@
-"""Multi-objective search by NSGA-II, in pymoo's implementation.
+"""Searches in the unit cube: NSGA-II for several objectives at once in pymoo, CMA-ES for one number in pycma.
 
-K. Deb, A. Pratap, S. Agarwal and T. Meyarivan, IEEE Trans. Evolutionary Computation 6(2), 2002, 182-197.
+K. Deb, A. Pratap, S. Agarwal and T. Meyarivan, IEEE Trans. Evolutionary Computation 6(2), 2002, 182-197;
+N. Hansen and A. Ostermeier, Evolutionary Computation 9(2), 2001, 159-195.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +15,9 @@ import numpy as np
 from fmu_export.errors import UserError
 
 Array = np.ndarray
+
+STEP = 0.1
+"""First standard deviation of CMA-ES, of an edge of the cube."""
 
 
 def check_installed() -> None:
@@ -54,3 +59,25 @@ def nondominated(
         algorithm.tell(infills=asked)
     best = algorithm.opt
     return best.get("X")[best.get("FEAS").ravel()]
+
+
+def descended(evaluate: Callable[[int, int, Array], Array], start: Array, points: int, seed: int) -> None:
+    """Look for the least value from `start` (n,) on, with some `points` evaluations.
+
+    `evaluate(generation, generations, points)` takes points (k, n) and returns their values (k,), whatever is worse being
+    larger; it keeps what it wants of them. The same evaluations and seed lead to the same points. It ends sooner where
+    CMA-ES finds nothing more to gain.
+    """
+    import cma  # noqa: PLC0415 - an extra
+
+    size = 2 * (4 + int(3 * math.log(len(start))))  # twice the usual: values are means of few draws
+    generator = np.random.default_rng(seed)
+    options = {"bounds": [0.0, 1.0], "popsize": size, "seed": math.nan, "verbose": -9}
+    options["randn"] = lambda *shape: generator.standard_normal(shape)
+    search = cma.CMAEvolutionStrategy(np.clip(start, 0.0, 1.0), STEP, options)
+    generations = -(-points // size)
+    for generation in range(1, generations + 1):
+        if search.stop():
+            return
+        asked = search.ask()
+        search.tell(asked, evaluate(generation, generations, np.clip(np.array(asked), 0.0, 1.0)).tolist())
