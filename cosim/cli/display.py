@@ -89,10 +89,10 @@ def interruptible(*places: Path) -> Iterator[None]:
 
 
 @contextmanager
-def resumable(journal: Path) -> Iterator[None]:
-    """Let Ctrl-C in the block tell whether there are finished runs, which are in `journal`."""
+def resumable(journal: Path) -> Iterator[Path]:
+    """Give the file of finished runs, and let Ctrl-C in the block tell whether there are any."""
     try:
-        yield
+        yield journal
     except KeyboardInterrupt as interrupt:
         kept = "finished runs are kept, and the same command goes on from there"
         signals.note(interrupt, kept if is_file(journal) else "no run was finished")

@@ -86,8 +86,7 @@ def region(
     target = output or Path("results") / f"region_{loaded_scenario.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
     say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
-    finished = target / "runs.sqlite"
-    with resumable(finished):
+    with resumable(target / "runs.sqlite") as finished:
         with (
             workers_at(workers, cluster) as where,
             Journal(finished, PURPOSE) as journal,

@@ -196,8 +196,11 @@ def tune(
     check_replaceable(*(target / name for name in _files(search)))
     say_notes(remarks_before(system, loaded_scenario))
     problem = replace(problem, scenario=with_tolerances(loaded_scenario, fmus, folder))
-    finished = target / "runs.sqlite"
-    with resumable(finished), workers_at(workers, cluster) as where, Journal(finished, PURPOSE) as journal:
+    with (
+        resumable(target / "runs.sqlite") as finished,
+        workers_at(workers, cluster) as where,
+        Journal(finished, PURPOSE) as journal,
+    ):
         if search is None:
             _follow_the_rule(problem, grid, target, journal, where)
         else:
