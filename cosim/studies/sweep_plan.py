@@ -41,7 +41,7 @@ class SweepPlan:
     """What is run: the scenario as all runs have it, what is varied, the laws, and what was drawn.
 
     `drawn`: an array for each variation and each encoder offset by its path; of a list, the numbers of its values.
-    `seeded`: the noise has the draw's number as its seed.
+    `seeded`: the noise has the draw's number as its seed. `units`: of all that is drawn, by its path.
     """
 
     scenario: Scenario
@@ -54,6 +54,7 @@ class SweepPlan:
     drawn: Mapping[str, Array]
     seeded: bool
     quantities: Mapping[str, MetricMeaning]
+    units: Mapping[str, str]
 
     @property
     def count(self) -> int:
@@ -170,6 +171,7 @@ def plan_sweep(
         drawn,
         chance.noise,
         QUANTITIES if found is None else quantities_of(found),
+        {path: entries.unit(path) for path in drawn},
     )
 
 
