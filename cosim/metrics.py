@@ -119,14 +119,19 @@ def trend(time: Array, e: Array, window: float = WINDOW, zero: float = ZERO * TO
     parts = np.concatenate([np.mean(block, axis=1) for block in blocks]) + np.float64(zero) ** 2
     if not np.isfinite(np.sum(parts)):
         return math.nan
-    ratio = math.sqrt(float(np.sum(parts[: PARTS // 2]) / np.sum(parts[PARTS // 2 :])))
-    if max(ratio, 1.0 / ratio) < MATERIAL:
+    first, second = np.sum(parts[: PARTS // 2]), np.sum(parts[PARTS // 2 :])
+    ratio = 1.0 if first == second else math.sqrt(float(first / second))  # 0 and infinity where one of them is 0
+
+    def beyond(bound: float) -> bool:
+        return ratio >= bound or ratio * bound <= 1.0
+
+    if not beyond(MATERIAL):
         return 1.0
     x, y = np.arange(PARTS) - (PARTS - 1) / 2, np.log(parts)
     slope = float(x @ y / (x @ x))
     scatter = float(np.sum((y - np.mean(y) - slope * x) ** 2)) / (PARTS - 2)
     significant = slope * slope * float(x @ x) > TREND_T**2 * scatter and (slope < 0.0) == (ratio > 1.0)
-    return ratio if significant or max(ratio, 1.0 / ratio) >= SURE else 1.0
+    return ratio if significant or beyond(SURE) else 1.0
 
 
 def first_of_window(time: Array, window: float) -> int:

@@ -2,12 +2,10 @@
 
 NSGA-II searches from the LC's neighbourhood, the stops of the paper's rule and a Sobol set. Every point is run in the same
 draws of encoder offsets and noise, in the scenario and in each case; its front is run again in draws that the search did not
-see, and these are the numbers that are told. A point that loses the plant in more draws than the LC, does not bring a case
-to rest that it must, ends without the steady state that an objective needs, has no proven design, or an objective beyond
-REACH, is infeasible: whatever its objectives, it is behind every feasible one. The search spreads its points evenly in the
-objectives' logarithms. With goals, CMA-ES goes on from the point that is nearest to them, with as many runs again, and makes
-the largest ratio of an objective to its goal small (goal attainment: F. W. Gembicki and Y. Y. Haimes, IEEE Trans. Automatic
-Control 20(6), 1975, 769-771).
+see, and these are the numbers that are told. An infeasible point, see `pareto_judge`, is behind every feasible one whatever
+its objectives. The search spreads its points evenly in the objectives' logarithms. With goals, CMA-ES goes on from the point
+that is nearest to them, with as many runs again, and makes the largest ratio of an objective to its goal small (goal
+attainment: F. W. Gembicki and Y. Y. Haimes, IEEE Trans. Automatic Control 20(6), 1975, 769-771).
 """
 
 from __future__ import annotations
@@ -22,131 +20,24 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
-from .cases import AS_IT_STANDS, FIRST, Case, Runs, without_supervisor
-from .draw_means import change_over, kept, mean_over
-from .engine import Workers, run_numbers
-from .estimates import MeanEstimate
+from .cases import AS_IT_STANDS
+from .draw_means import kept
+from .engine import Workers
 from .experiments import laws_of
 from .journal import Journal
 from .optimizers import check_installed, descended, nondominated
 from .pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE, Front, ParetoPoint, Search
-from .region_map import Judge as RestJudge
+from .pareto_judge import WORST, PointJudge
 from .tunables import Setting, TunedController
 from .tuning import Grid, Point, Tuning, TuningProblem, tune
 
 Array = np.ndarray
 Say = Callable[[str, int, int], None]
 
-WORST = 2.0
-"""Violation of a point that has no design: that of losing every draw."""
-LEAST = 1e-300
-"""Of what a logarithm is taken."""
-REACH = 4.0
-"""Of an objective, times the LC's, and times its limit where that is above 1: the search does not go beyond."""
-ALL = 0.1
-"""Weight of the mean of all goals beside the worst, in the search for them."""
 UNFEASIBLE = 100.0
 """Of what the search for goals makes small: that of an infeasible point, beyond every feasible one's."""
 SHARE = 4
 """Part of the population, one in so many, of how many points within the limits are judged besides the last generation's."""
-
-
-class _Judge:
-    """Runs points, or takes them from the journal, and says what they come to."""
-
-    def __init__(
-        self, problem: TuningProblem, search: Search, controller: TunedController, journal: Journal, workers: Workers
-    ) -> None:
-        self.problem, self.search, self.controller = problem, search, controller
-        self.journal, self.workers = journal, workers
-        self.linear_changes = {**controller.linear(), **search.reference}
-        self.linear: Runs = {}
-        self.reach: list[float] = []
-        place = problem.scenario, problem.fmus, problem.folder
-        self.free = without_supervisor(*place)
-        step = problem.scenario.run.step
-        self.rest = RestJudge(problem.quantities, problem.scenario.run.duration, FIRST * step if self.free else None)
-
-    def begin(self, progress: Callable[[int, int], None]) -> None:
-        """Run the LC in the search's draws; raise UserError where it lacks an objective, or a case is not the plant's."""
-        decided = {*self.controller.setting(self.controller.start).changes, *self.linear_changes}
-        for case in self.search.cases:
-            for entry in case.changes:
-                if entry in decided:
-                    raise UserError(f"a case must not change what the tuning decides, found {entry}")
-        (self.linear,) = self.runs([self.linear_changes], self.problem.numbers, progress)
-        for q, estimate in zip(self.search.objectives, self.objectives(self.linear), strict=True):
-            if math.isnan(estimate.value):
-                where = f"the case {q.case}" if q.case else "this scenario"
-                raise UserError(
-                    f"a front starts from the LC, which in {where} has no {q.quantity.name} yet at the end of a run"
-                )
-            factor = REACH * max(1.0, self.search.bounds.get(q.name, 1.0))
-            self.reach.append(factor * estimate.value if estimate.value > 0.0 else math.inf)
-
-    def runs(
-        self, changes: Sequence[Mapping[str, Any]], numbers: Sequence[int], progress: Callable[[int, int], None]
-    ) -> list[Runs]:
-        """Return the numbers of each draw in each case of each point; points that are equal are run once."""
-        keys = [tuple(sorted(c.items())) for c in changes]
-        jobs = [
-            job
-            for key in dict.fromkeys(keys)
-            for case in self.search.circumstances
-            for job in self.problem.jobs((key, case.name), self._in_case(dict(key), case), numbers)
-        ]
-        by_key = run_numbers(jobs, self.problem.fmus, self.journal, workers=self.workers, progress=progress)
-        names = [case.name for case in self.search.circumstances]
-        return [{name: [by_key[(key, name), n] for n in numbers] for name in names} for key in keys]
-
-    def _in_case(self, changes: Mapping[str, Any], case: Case) -> dict[str, Any]:
-        return {**changes, **(self.free if case.rest else {}), **case.changes}
-
-    def objectives(self, runs: Runs) -> tuple[MeanEstimate, ...]:
-        """Return the means of the objectives."""
-        return tuple(mean_over(runs[q.case], q.quantity) for q in self.search.objectives)
-
-    def changes(self, runs: Runs, base: Runs) -> tuple[MeanEstimate, ...]:
-        """Return by which part the objectives' means lie above those of `base`, in the same draws."""
-        return tuple(change_over(runs[q.case], base[q.case], q.quantity) for q in self.search.objectives)
-
-    def violation(self, runs: Runs, linear: Runs, *, found: bool = True) -> float:
-        """Return by how much a point is infeasible beside the LC; 0: it is feasible.
-
-        1 and the mean share of draws that it loses in a case, beyond the LC's where rest is not asked for; otherwise the
-        share of objectives without a number. Rest is asked of points that are `found`, not of the LC and the rule's.
-        """
-        cases = [case for case in self.search.circumstances if found or not case.rest]
-        lost = [self._lost(case, runs[case.name], linear) for case in cases]
-        if any(lost):
-            return 1.0 + float(np.mean(lost))
-        return float(np.mean([math.isnan(estimate.value) for estimate in self.objectives(runs)]))
-
-    def _lost(self, case: Case, draws: Sequence[Mapping[str, float]], linear: Runs) -> float:
-        if case.rest:
-            return sum(self.rest.outcome(draw) != "attracted" for draw in draws) / len(draws)
-        return max(0, len(kept(linear[case.name])) - len(kept(draws))) / len(draws)
-
-    def searched(self, runs: Runs) -> tuple[Array, float]:
-        """Return the logarithms of the objectives (n,), and by how much the point is infeasible to the search."""
-        values = np.array([estimate.value for estimate in self.objectives(runs)])
-        violation = self.violation(runs, self.linear)
-        if violation:
-            return np.zeros_like(values), violation
-        logs = np.log(np.maximum(values, LEAST))
-        beyond = float(np.maximum(logs - np.log(np.maximum(self.reach, LEAST)), 0.0).sum())
-        return logs, beyond / (1.0 + beyond)
-
-    def towards_goals(self, logs: Array) -> float:
-        """Return what the search for goals makes small: the logarithm of the largest ratio to a goal, and a little of all.
-
-        The little is so that what is not the worst is made small too.
-        """
-        linear = np.array([estimate.value for estimate in self.objectives(self.linear)])
-        goals = np.array([self.search.goals.get(q.name, 1.0) for q in self.search.objectives])
-        of_goal = np.array([q.name in self.search.goals for q in self.search.objectives])
-        excess = (logs - np.log(np.maximum(goals * linear, LEAST)))[of_goal]
-        return float(excess.max() + ALL * excess.mean())
 
 
 def pareto(
@@ -170,7 +61,7 @@ def pareto(
     if LC not in laws_of(problem.scenario, problem.fmus, problem.folder):
         raise UserError("a front is held against the law LC, which the controller does not have")
     rule = tune(problem, grid, journal, workers, report)
-    judge = _Judge(problem, search, controller, journal, workers)
+    judge = PointJudge(problem, search, controller, journal, workers)
     judge.begin(lambda done, total: report("the LC", done, total))
     tell = say or (lambda _sentence: None)
     known: list[Mapping[str, float]] = [controller.start, {**controller.start, "a_min": 1.0, "b_max": 1.0}]
@@ -211,7 +102,7 @@ class _Explorer:
 
     def __init__(
         self,
-        judge: _Judge,
+        judge: PointJudge,
         search: Search,
         setting: Callable[[Mapping[str, float]], Setting],
         report: Say,
@@ -309,7 +200,7 @@ class _Explorer:
         self.told = True
 
 
-def _judged(judge: _Judge, rule: Tuning, found: Sequence[_Found], retuned: Sequence[_Found], report: Say) -> Front:
+def _judged(judge: PointJudge, rule: Tuning, found: Sequence[_Found], retuned: Sequence[_Found], report: Say) -> Front:
     """Run the LC, the rule's way and the points found in the held-out draws, and choose."""
     problem, search = judge.problem, judge.search
     way = [(values_of(p), problem.changes(p, rule.designs[p.mu, p.u_max])) for p in rule.way]
@@ -363,15 +254,12 @@ def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
 
 
 def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoPoint | None:
-    """Return the point of a kind that keeps the limits in all draws and has the least first objective in the search's.
+    """Return the point of a kind that keeps the limits in all draws and is best in the search's: nearest to the goals.
 
-    With goals, the one that is nearest to them in the search's. The held-out draws do not choose, so that what they say of
-    the chosen point is not flattered.
+    Without goals, the one with the least first objective. The held-out draws do not choose, so that what they say of the
+    chosen point is not flattered.
     """
     linear, names = points[0], [q.name for q in search.objectives]
-    if search.goals:
-        some = [p for p in points if p.kind == kind]
-        return min(some, key=lambda p: search.beyond(p.searched, linear.searched), default=None)
     limits = {names.index(name): factor for name, factor in search.bounds.items()}
     able = [
         p
@@ -380,4 +268,6 @@ def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoP
         and all(p.searched[i] <= x * linear.searched[i] for i, x in limits.items())
         and all(p.held_out[i].value <= x * linear.held_out[i].value for i, x in limits.items())
     ]
+    if search.goals:
+        return min(able, key=lambda p: search.beyond(p.searched, linear.searched), default=None)
     return min(able, key=lambda p: p.searched, default=None)

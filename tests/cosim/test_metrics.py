@@ -114,6 +114,19 @@ def test_an_exponential_is_a_trend_of_its_closed_form(rate):
 
 
 @pytest.mark.parametrize(
+    ("e", "found"),
+    [
+        (0.0 * TIME, 1.0),
+        (np.where(TIME < 8.4, 1.0, 0.0), math.inf),
+        (np.where(TIME < 8.6, 0.0, 1.0), 0.0),
+        (np.where(TIME < 8.6, 1e-120, 1e-50), 0.0),
+    ],
+)
+def test_the_trend_of_what_is_exactly_at_rest_in_a_half_is_0_or_infinite(e, found):
+    assert trend(TIME, e, zero=0.0) == pytest.approx(found, abs=1e-60)
+
+
+@pytest.mark.parametrize(
     ("q", "steady"),
     [
         (np.full(len(TIME), 0.01), True),

@@ -34,6 +34,7 @@ from cosim.studies.pareto_front import (
     factors_of,
     objectives_of,
 )
+from cosim.studies.pareto_judge import WORST, PointJudge
 from cosim.studies.ranges import Range
 from cosim.studies.tunables import Tunable, TunedController
 from cosim.studies.tuning import Grid, Outcome, Point, Tuning, TuningProblem
@@ -171,10 +172,6 @@ def test_cases_are_given_by_entries_and_objectives_can_be_of_one():
             lambda: objectives_of(["settling", "rms@a"], QUANTITIES, [Case("a", rest=True)]),
             "the case of 'rms@a' must be given with --case, found 'a'",
         ),
-        (
-            lambda: Search(THREE, TUNABLES, {"energy": 1.0}, {"energy": 1.0}),
-            "the chosen point either keeps limits or comes nearest to goals, found both",
-        ),
         (lambda: Search(THREE, TUNABLES, goals={"energy": -1.0}), "the goal of energy must be positive and finite"),
         (
             lambda: Search(THREE, TUNABLES[:1], goals={"energy": 1.0}),
@@ -271,7 +268,15 @@ def test_with_goals_the_nearest_point_is_chosen_and_each_goal_is_said_to_be_met_
     assert lucky.verdict().startswith(
         "the goals are met: times the LC's, in 8 draws that the search did not see: settling"
     )
-    assert front(point(LOST, (0.5, 0.5, 0.5)), goals=GOALS).verdict().startswith("the goals are out of sight: all that")
+    limited = front(left, near, right, goals=GOALS, limits={"energy": 2.0})
+    assert limited.chosen is left
+    assert "∫V² dt 0.1 (limit 2); " in limited.verdict()
+    none = front(near, point(LOST, (0.5, 0.5, 0.5)), goals=GOALS, limits={"energy": 2.0}).verdict()
+    assert none.startswith(
+        "the LC does not gain: no point of the front keeps ∫V² dt at most 2 times the LC's; the least of "
+    )
+    lost = front(point(LOST, (0.5, 0.5, 0.5)), goals=GOALS).verdict()
+    assert lost == "the LC does not gain: no point of the front is left; all that was found loses the plant"
 
 
 def test_where_the_chosen_point_is_at_the_end_of_a_range_it_is_said():
@@ -371,11 +376,11 @@ def test_a_point_that_loses_the_plant_is_infeasible_and_so_is_one_out_of_reach(f
         return {"kept": kept, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": energy}
 
     with Journal(tmp_path / "runs", PURPOSE) as journal:
-        judge = searching._Judge(tilt, search, TunedController(tilt, design), journal, 1)
+        judge = PointJudge(tilt, search, TunedController(tilt, design), journal, 1)
         judge.linear, judge.reach = {"": [draw(), draw()]}, [4.0, 4.0]
         assert judge.searched({"": [draw(energy=2.0), draw(energy=4.0)]}) == (pytest.approx([0.0, math.log(3.0)]), 0.0)
         violations = [judge.searched({"": draws})[1] for draws in ([draw(energy=9.0)] * 2, [draw(), {}], [{}, {}])]
-        assert 0.0 < violations[0] < 1.0 < violations[1] < violations[2] == searching.WORST
+        assert 0.0 < violations[0] < 1.0 < violations[1] < violations[2] == WORST
         judge.linear = {"": [draw(), draw(kept=0.0)]}
         assert judge.searched({"": [draw(), {}]})[1] == 0.0  # the LC loses one too
 
@@ -477,7 +482,7 @@ def test_a_point_must_come_to_rest_from_where_it_is_held_whatever_the_linear_con
     tilt, goals, design, tmp_path
 ):
     with Journal(tmp_path / "runs", PURPOSE) as journal:
-        judge = searching._Judge(tilt, goals, TunedController(tilt, design), journal, 1)
+        judge = PointJudge(tilt, goals, TunedController(tilt, design), journal, 1)
     (held,) = (case for case in goals.cases if case.rest)
     fine = {"kept": 1.0, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": 1.0, "capture_time": 0.002}
     rest, astray = {**fine, "settling_time": 0.2}, {**fine, "settling_time": math.nan}
