@@ -150,7 +150,8 @@ def plan_sweep(
     judged = with_tolerances(scenario, fmus, folder)
     if set(judged.evaluate.tolerances or ()) == {LEAST}:
         raise UserError(
-            "nothing moves in the scenario as it stands, so settling has no tolerance; --set evaluate.tolerance gives one"
+            "nothing moves in the scenario as it stands, so settling has no tolerance; --set evaluate.tolerance gives one, "
+            "or start it elsewhere"
         )
     own: dict[str, Any] = {"controller.other_model": True, "record.every": 1}  # checked as the scenario stands
     if chance and "run.seed" not in paths:
