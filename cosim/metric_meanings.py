@@ -191,6 +191,16 @@ def is_pendulum(quantities: Mapping[str, MetricMeaning]) -> bool:
     return quantities == QUANTITIES
 
 
+def kept_words(quantities: Mapping[str, MetricMeaning]) -> str:
+    """Return what a law does in the runs that count."""
+    return "kept upright" if is_pendulum(quantities) else "acting to the end"
+
+
+def lost_words(quantities: Mapping[str, MetricMeaning]) -> str:
+    """Return what a law does in the others."""
+    return "pendulum lost" if is_pendulum(quantities) else "law not acting to the end"
+
+
 def measure_of(quantities: Mapping[str, MetricMeaning], role: Role) -> MetricMeaning:
     """Return the first metric of a role."""
     return next(q for q in quantities.values() if q.role == role)

@@ -13,6 +13,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from filing.files import write_file
 from filing.origin import SOFTWARE
@@ -61,6 +62,15 @@ def label(signal: ErrorSignal | ControlSignal) -> str:
 def literal(text: str) -> str:
     """Return a user's text such that Matplotlib draws its dollar signs instead of setting formulas between them."""
     return text.replace("$", r"\$")
+
+
+def logarithmic(axes: Any, which: str) -> None:
+    """Make an axis, "x" or "y", logarithmic, with numbers as people write them beside 1, 2 and 5 of each decade."""
+    getattr(axes, f"set_{which}scale")("log")
+    ruler = getattr(axes, f"{which}axis")
+    ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ruler.set_major_formatter(StrMethodFormatter("{x:g}"))
+    ruler.set_minor_formatter(NullFormatter())
 
 
 def norm_name(evaluation: Evaluation, suffix: str) -> tuple[str, str]:

@@ -186,13 +186,39 @@ class Scenario(_Section):
         both = {CONTROLLER: self.controller, PLANT: self.plant}
         return {name: part for name, part in both.items() if part.fmu != NONE} | self.components
 
+    def entry(self, name: str) -> str:
+        """Return the entry that a name means: that of a start value also without `start`, as in `plant.delta_0`.
+
+        An entry of a component's own section, such as `plant.fmu`, goes before a variable of that name. Whether there is
+        such a thing is not asked.
+
+        Parameters
+        ----------
+        name
+            `section.entry`, `component.start.variable` or `component.variable`.
+
+        Returns
+        -------
+        str
+            The entry, such as `plant.start.delta_0` or `components.load.start.mass`.
+
+        Examples
+        --------
+        >>> import cosim
+        >>> scenario, _ = cosim.load_scenario("tilt")
+        >>> scenario.entry("plant.delta_0"), scenario.entry("plant.fmu")
+        ('plant.start.delta_0', 'plant.fmu')
+        """
+        return _entry(name, self.components)
+
     def changed(self, changes: Mapping[str, Any]) -> Scenario:
         """Return the scenario with entries replaced.
 
         Parameters
         ----------
         changes
-            Values by `section.entry` or `section.start.variable`; entries of lists are named by their numbers from 0 on.
+            Values by `section.entry` or `component.variable`, see `entry`; entries of lists are named by their numbers from
+            0 on.
 
         Returns
         -------
@@ -206,7 +232,7 @@ class Scenario(_Section):
         """
         data = self.model_dump(mode="json")
         for path, value in changes.items():
-            *parents, last = _parted(path)
+            *parents, last = _parted(_entry(path, data["components"]))
             place: Any = data
             for parent in parents:
                 place = _inside(place, parent, path)
@@ -225,6 +251,18 @@ class Scenario(_Section):
         import tomli_w  # noqa: PLC0415
 
         return f"# {WRITTEN}\n" + tomli_w.dumps(self.model_dump(mode="json", exclude_none=True, exclude={"name"}))
+
+
+def _entry(name: str, components: Mapping[str, Any]) -> str:
+    """Return the entry that a name means, see `Scenario.entry`."""
+    section, _, rest = name.removeprefix("components.").partition(".")
+    kind = {PLANT: PlantSection, CONTROLLER: ControllerSection}.get(section)
+    if kind is None and section in components:
+        kind, section = ComponentSection, f"components.{section}"
+    if kind is None or not rest:
+        return name
+    own = rest.partition(".")[0] in kind.model_fields
+    return f"{section}.{rest}" if own else f"{section}.start.{rest}"
 
 
 def _parted(path: str) -> list[str]:

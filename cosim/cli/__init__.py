@@ -102,19 +102,21 @@ def main() -> None:
     0: well; 1: a run, a device or a compiler failed; 2: the user's mistake, in one sentence; 70: a fault of this program,
     with its traceback; 128 + n: signal n. The option --debug may stand anywhere and shows the traceback of every error.
     """
-    signals.as_ctrl_c()
-    degrade_output()
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
     try:
+        signals.as_ctrl_c()
+        degrade_output()
         try:
             COMMAND(arguments)
         finally:
             sys.stdout.flush()
-    except SystemExit as end:
-        if end.code == signals.CTRL_C:  # Typer makes this of a KeyboardInterrupt
-            sys.exit(signals.exit_code())
-        raise
+    except (KeyboardInterrupt, SystemExit) as end:  # Typer makes a SystemExit of a KeyboardInterrupt
+        interrupt = signals.interrupt_behind(end)
+        if interrupt is None:
+            raise
+        signals.say(interrupt)
+        sys.exit(signals.exit_code())
     except UserError as error:
         say_error(error, traceback=debug)
         sys.exit(USAGE)

@@ -11,8 +11,18 @@ import typer
 
 from filing.ownership import check_replaceable
 
+from .. import signals
 from ..errors import UserError
-from .display import console, escaped, print_comparison, print_results, progress, remove_earlier, say_notes
+from .display import (
+    console,
+    escaped,
+    interruptible,
+    print_comparison,
+    print_results,
+    progress,
+    remove_earlier,
+    say_notes,
+)
 from .options import (
     SCENARIO_HELP,
     ClusterOption,
@@ -49,7 +59,7 @@ def compare(
         str | None,
         typer.Option(
             metavar="ENTRY=VALUE,...",
-            help="Compare values of another entry of the scenario than the law, e.g. `controller.start.a_min=0.2,0.5,1`.",
+            help="Compare values of another entry of the scenario than the law, e.g. `controller.a_min=0.2,0.5,1`.",
         ),
     ] = None,
     draws: Annotated[
@@ -140,15 +150,16 @@ def _compare_results(paths: list[Path], folder: Path, page: Page | None) -> None
     results = alike({name: Result.load(path) for name, path in zip(names, paths, strict=True)})
     check_folder(folder)
     print_results(results)
-    with staging(folder) as place:
-        save_comparison(results, place, ", ".join(names))
-    console.print(f"pictures in {escaped(folder)}")
-    if page is None:
-        remove_earlier(folder / REPORT, "report")
-        return
-    path = page.path or folder / REPORT
-    write_results(path, results, ", ".join(names), side_by_side(results), dict(zip(names, paths, strict=True)))
-    console.print(f"wrote {escaped(path)}")
+    path = folder / REPORT if page is None or page.path is None else page.path
+    with interruptible(folder, path):
+        with staging(folder) as place:
+            save_comparison(results, place, ", ".join(names))
+        console.print(f"pictures in {escaped(folder)}")
+        if page is None:
+            remove_earlier(path, "report")
+            return
+        write_results(path, results, ", ".join(names), side_by_side(results), dict(zip(names, paths, strict=True)))
+        console.print(f"wrote {escaped(path)}")
 
 
 def run_and_write(
@@ -185,9 +196,9 @@ def run_and_write(
             print_comparison(comparison)
             say_notes(at_rest)
             console.print(f"results and pictures in {escaped(folder)}\n")
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         kept = f"whole: {', '.join(written)}" if written else "nothing was kept"
-        console.print(f"interrupted: a comparison is written whole or not at all; {escaped(kept)}")
+        signals.note(interrupt, f"a comparison is written whole or not at all; {kept}")
         raise
 
 

@@ -11,7 +11,7 @@ from filing.ownership import check_replaceable
 
 from ..pendulum_export import EXPORTED, export_units
 from .compare import check_folder, run_and_write
-from .display import console, escaped
+from .display import console, escaped, interruptible
 from .options import FmusOption
 
 DEMO = {"swing_up": 128, "tilt": 128, "tilt_kalman": 128, "tilt_ideal": 0}
@@ -31,21 +31,22 @@ def demo(
     check_replaceable(output / "design.json", *(fmus / name for name in EXPORTED))
     for name in DEMO:
         check_folder(output / name, LAWS)
-    console.print("1. design: the paper's A, b and k_lin, inverse design")
-    design = default_design()
-    design.save(output / "design.json")
-    margins = design.certificate
-    console.print(
-        f"   certified: decrease margin {margins.decrease:.2g} 1/s, monotonicity {margins.monotone:.3g}, P > 0"
-    )
-    console.print("2. export")
-    for path in export_units(design, output=fmus):
-        console.print(f"   {escaped(path)}")
-    console.print(
-        "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
-    )
-    experiments = []
-    for name, draws in DEMO.items():
-        scenario, folder = load_scenario(name)
-        experiments.append(Experiment(scenario, folder, draws))
-    run_and_write(experiments, fmus, output, list(LAWS))
+    with interruptible(output, fmus, *(output / name for name in DEMO)):
+        console.print("1. design: the paper's A, b and k_lin, inverse design")
+        design = default_design()
+        design.save(output / "design.json")
+        margins = design.certificate
+        console.print(
+            f"   certified: decrease margin {margins.decrease:.2g} 1/s, monotonicity {margins.monotone:.3g}, P > 0"
+        )
+        console.print("2. export")
+        for path in export_units(design, output=fmus):
+            console.print(f"   {escaped(path)}")
+        console.print(
+            "3. co-simulation: plant ident, 1 ms, 10 V; |q| = hypot(theta, delta); settled: |q| < 0.02 rad to the end"
+        )
+        experiments = []
+        for name, draws in DEMO.items():
+            scenario, folder = load_scenario(name)
+            experiments.append(Experiment(scenario, folder, draws))
+        run_and_write(experiments, fmus, output, list(LAWS))

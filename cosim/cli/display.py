@@ -14,7 +14,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 from rich.console import Console
 
 from filing.ownership import is_ours
-from fmu_export.files import is_folder
+from fmu_export.files import is_file, is_folder
+
+from .. import signals
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -42,8 +44,6 @@ class Output(Console):
 
 console = Output(sys.stdout)
 problems = Output(sys.stderr, stderr=True, soft_wrap=True, highlight=False)
-
-NO_FILE = "no file was written"
 
 
 def degrade_output() -> None:
@@ -78,13 +78,24 @@ def say_notes(notes: Iterable[str]) -> None:
 
 @contextmanager
 def interruptible(*places: Path) -> Iterator[None]:
-    """On Ctrl-C in the block, say which of these files, or of the files in these folders, were written until then."""
+    """Let Ctrl-C in the block tell which of these files, or of the files in these folders, were written until then."""
     before = _stamps(places)
     try:
         yield
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interrupt:
         written = ", ".join(str(path) for path, stamp in _stamps(places).items() if before.get(path) != stamp)
-        console.print(f"interrupted; {escaped(f'wrote {written}') if written else NO_FILE}")
+        signals.note(interrupt, f"wrote {written}" if written else signals.NO_FILE)
+        raise
+
+
+@contextmanager
+def resumable(journal: Path) -> Iterator[Path]:
+    """Give the file of finished runs, and let Ctrl-C in the block tell whether there are any."""
+    try:
+        yield journal
+    except KeyboardInterrupt as interrupt:
+        kept = "finished runs are kept, and the same command goes on from there"
+        signals.note(interrupt, kept if is_file(journal) else "no run was finished")
         raise
 
 
@@ -204,7 +215,7 @@ def print_comparison(comparison: Comparison) -> None:
 
 @contextmanager
 def staged_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each stage of long work that keeps what is finished; on Ctrl-C say so."""
+    """Show a bar for each stage of long work."""
     with progress() as bar:
         tasks: dict[str, Any] = {}
 
@@ -213,11 +224,7 @@ def staged_progress() -> Iterator[Callable[[str, int, int], None]]:
                 tasks[what] = bar.add_task(what, total=total)
             bar.update(tasks[what], completed=done, total=total)
 
-        try:
-            yield report
-        except KeyboardInterrupt:
-            bar.console.print("interrupted; finished runs are kept, and the same command goes on from there")
-            raise
+        yield report
 
 
 def progress() -> Progress:

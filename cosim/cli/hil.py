@@ -15,7 +15,16 @@ from fmu_export.files import uninterrupted
 from fmu_export.variables import did_you_mean
 
 from ..errors import UserError
-from .display import console, escaped, print_metrics, problems, remove_earlier, say_notes, show_table
+from .display import (
+    console,
+    escaped,
+    interruptible,
+    print_metrics,
+    problems,
+    remove_earlier,
+    say_notes,
+    show_table,
+)
 from .options import (
     FAILED,
     SCENARIO_HELP,
@@ -150,7 +159,8 @@ def hil(
         if page is not None:
             design, uncovered = controller_design(system, loaded_scenario, folder)
             page = replace(page, notes=[*dict.fromkeys([*notes, *uncovered])], design=design)
-        _run(chosen_device, component, settings, signals, about, output, status, page)
+        with interruptible(output):
+            _run(chosen_device, component, settings, signals, about, output, status, page)
 
 
 def _check_options(device: str, *, lockstep: bool, faults: str, stop_on_misses: bool) -> None:

@@ -10,7 +10,7 @@ import typer
 
 from filing.ownership import check_replaceable
 
-from .display import console, escaped, problems, show_table
+from .display import console, escaped, interruptible, problems, show_table
 from .options import RunArgument
 
 
@@ -48,27 +48,28 @@ def identify(
             tuple(name.strip() for name in names.split(",")),
             progress=lambda trials, rms: shown.update(f"trial {trials}: residual {rms:.3g} rad"),
         )
-    parameter_files.save(path, fit.parameters)
-    headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
-    units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
-    for name, e in fit.estimates.items():
-        numbers = (e.value, e.low, e.high, getattr(start.parameters, name))
-        rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
-    show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
-    unknown = [name for name, e in fit.estimates.items() if not e.identifiable]
-    if fit.disturbed:
-        p = fit.parameters.parameters
-        problems.print(
-            f"[yellow]note:[/] the residuals show a disturbance that the model lacks, like {fit.disturbance:.2g} V RMS at "
-            f"the motor, {fit.disturbance * p.k_m / p.R_m:.2g} N.m: the arm's damping and friction cannot be told from "
-            "it, whatever their intervals say"
+    with interruptible(path):
+        parameter_files.save(path, fit.parameters)
+        headings, rows = ("parameter", "fitted", "from", "to", f"in {start.name}", "unit"), []
+        units = {f.name: f.metadata["unit"] for f in fields(QubeParameters)}
+        for name, e in fit.estimates.items():
+            numbers = (e.value, e.low, e.high, getattr(start.parameters, name))
+            rows.append([name, *(f"{number:.4g}" for number in numbers), units[name]])
+        show_table(f"{run.name}: parameters and 95 % confidence intervals", headings, rows)
+        unknown = [name for name, e in fit.estimates.items() if not e.identifiable]
+        if fit.disturbed:
+            p = fit.parameters.parameters
+            problems.print(
+                "[yellow]note:[/] the residuals show a disturbance that the model lacks, like "
+                f"{fit.disturbance:.2g} V RMS at the motor, {fit.disturbance * p.k_m / p.R_m:.2g} N.m: the arm's damping "
+                "and friction cannot be told from it, whatever their intervals say"
+            )
+            unknown = [name for name in unknown if name not in LIKE_VOLTAGE]
+        if unknown:
+            problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
+        console.print(
+            f"RMS residual {fit.rms_before:.3g} rad before, {fit.rms_after:.3g} rad after, from {fit.samples} samples in "
+            f"{fit.segments} segments; one encoder count is {RESOLUTION:.3g} rad",
+            soft_wrap=True,
         )
-        unknown = [name for name in unknown if name not in LIKE_VOLTAGE]
-    if unknown:
-        problems.print(f"[yellow]note:[/] this log does not tell {', '.join(unknown)}; leave it out of --fit")
-    console.print(
-        f"RMS residual {fit.rms_before:.3g} rad before, {fit.rms_after:.3g} rad after, from {fit.samples} samples in "
-        f"{fit.segments} segments; one encoder count is {RESOLUTION:.3g} rad",
-        soft_wrap=True,
-    )
-    console.print(f"wrote {escaped(path)}", soft_wrap=True)
+        console.print(f"wrote {escaped(path)}", soft_wrap=True)

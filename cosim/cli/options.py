@@ -35,8 +35,8 @@ SetOption = Annotated[
     typer.Option(
         "--set",
         metavar="ENTRY=VALUE",
-        help="Change an entry of the scenario, e.g. `run.duration=20`, `plant.parameters=hcs` or "
-        "`controller.start.a_min=0.7`; may be repeated.",
+        help="Change an entry of the scenario, e.g. `run.duration=20`, `plant.parameters=hcs`, or of a component's start "
+        "values `controller.a_min=0.7`; may be repeated.",
     ),
 ]
 

@@ -12,7 +12,7 @@ from filing.files import staging
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_results, progress, say_notes
+from .display import console, escaped, interruptible, print_results, progress, say_notes
 from .options import OTHER_FMU, SCENARIO_HELP, ControllerOption, FmusOption, SetOption, assignments
 
 if TYPE_CHECKING:
@@ -63,7 +63,8 @@ def overlay(
         if change:
             raise UserError("--set changes entries of a scenario, which --scenario names")
         if evaluation_in(result).kind == "pendulum":
-            _overlay_log(result, run, parameters, begin, controller, fmus, folder)
+            with interruptible(folder):
+                _overlay_log(result, run, parameters, begin, controller, fmus, folder)
             return
         loaded_scenario, beside = scenario_in(result, run), run.parent
         others = other_files(result, loaded_scenario, fmus, beside)
@@ -76,7 +77,8 @@ def overlay(
             raise UserError(
                 f"{option} is for logs of the pendulum; here --scenario, --set and --fmus say what is simulated"
             )
-    _overlay_scenario(run, loaded_scenario, fmus, beside, begin, folder)
+    with interruptible(folder):
+        _overlay_scenario(run, loaded_scenario, fmus, beside, begin, folder)
 
 
 def _overlay_scenario(run: Path, scenario: Scenario, fmus: Path, beside: Path, begin: float, folder: Path) -> None:

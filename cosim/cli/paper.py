@@ -11,7 +11,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..pendulum_export import export_units
-from .display import console, escaped, print_claims, staged_progress
+from .display import console, escaped, interruptible, print_claims, resumable, staged_progress
 from .options import ClusterOption, WorkersOption, workers_at
 
 
@@ -44,8 +44,10 @@ def paper(
     check_replaceable(output / "report.html")
     if fmus is None:
         fmus = output / "fmus"
-        export_units(default_design(), output=fmus)
-    with workers_at(workers, cluster) as where, staged_progress() as progress:
-        claims = make(Study(output, fmus, size, where), progress)
-    print_claims(claims)
-    console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")
+        with interruptible(fmus):
+            export_units(default_design(), output=fmus)
+    with resumable(output / "runs.sqlite"):
+        with workers_at(workers, cluster) as where, staged_progress() as progress:
+            claims = make(Study(output, fmus, size, where), progress)
+        print_claims(claims)
+        console.print(f"wrote {escaped(output / 'report.html')} and the tables, figures and scenarios beside it")

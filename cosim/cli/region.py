@@ -10,7 +10,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, say_notes, show_table, staged_progress
+from .display import console, escaped, resumable, say_notes, show_table, staged_progress
 from .options import SCENARIO_HELP, ClusterOption, FmusOption, SetOption, WorkersOption, assignments, workers_at
 
 if TYPE_CHECKING:
@@ -86,18 +86,19 @@ def region(
     target = output or Path("results") / f"region_{loaded_scenario.name}"
     check_replaceable(*(target / name for name in WRITTEN_FILES))
     say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
-    with (
-        workers_at(workers, cluster) as where,
-        Journal(target / "runs.sqlite", PURPOSE) as journal,
-        staged_progress() as report,
-    ):
-        found = find_region(problem, journal, where, report)
-    paths = save(found, target)
-    show_table(*found.table())
-    for remark in found.remarks():
-        console.print(escaped(remark))
-    for path in paths:
-        console.print(f"wrote {escaped(path)}")
+    with resumable(target / "runs.sqlite") as finished:
+        with (
+            workers_at(workers, cluster) as where,
+            Journal(finished, PURPOSE) as journal,
+            staged_progress() as report,
+        ):
+            found = find_region(problem, journal, where, report)
+        paths = save(found, target)
+        show_table(*found.table())
+        for remark in found.remarks():
+            console.print(escaped(remark))
+        for path in paths:
+            console.print(f"wrote {escaped(path)}")
 
 
 def _ranges(over: list[str]) -> dict[str, Range]:

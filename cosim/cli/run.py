@@ -12,7 +12,16 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_metrics, progress, remove_earlier, say_notes, warn_of_messages
+from .display import (
+    console,
+    escaped,
+    interruptible,
+    print_metrics,
+    progress,
+    remove_earlier,
+    say_notes,
+    warn_of_messages,
+)
 from .options import (
     SCENARIO_HELP,
     FmusOption,
@@ -76,42 +85,42 @@ def run(
     notes = remarks_before(system, loaded_scenario)
     say_notes(notes)
     of_controller = (None, []) if page is None else controller_design(system, loaded_scenario, folder)
-    with progress() as bar:
-        task = bar.add_task(loaded_scenario.name, total=None)
-        try:
-            result = run_scenario(
-                loaded_scenario,
-                fmus,
-                folder,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
-                target=path.parent,
-            )
-        except (SimulationError, Interrupted) as stopped:
-            if count := len(stopped.result.time):
-                partial = _save(stopped.result, unfinished)
-                bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
-            _report_failure(stopped, page_of_failure, notes, of_controller, unfinished)
-            raise
-        try:
+    written = (file.with_suffix(suffix) for file in (path, unfinished) for suffix in (".csv", ".json", ".png", ".html"))
+    with interruptible(*written, *(p.path for p in (page, page_of_failure) if p is not None and p.path is not None)):
+        with progress() as bar:
+            task = bar.add_task(loaded_scenario.name, total=None)
+            try:
+                result = run_scenario(
+                    loaded_scenario,
+                    fmus,
+                    folder,
+                    progress=lambda done, total: bar.update(task, completed=done, total=total),
+                    target=path.parent,
+                )
+            except (SimulationError, Interrupted) as stopped:
+                if count := len(stopped.result.time):
+                    partial = _save(stopped.result, unfinished)
+                    bar.console.print(f"wrote what was recorded until then, {count} rows, to {escaped(partial)}")
+                _report_failure(stopped, page_of_failure, notes, of_controller, unfinished)
+                raise
             _save(result, path)
-        except KeyboardInterrupt:
-            bar.console.print(f"interrupted while it was written: {escaped(path)} is whole")
-            raise
-    for suffix, what, again in ((".png", "picture", plot), (".html", "report", page is not None)):
-        if not again:
-            remove_earlier(path.with_suffix(suffix), what)
-    warn_of_messages(result)
-    say_notes(remarks_after(result, system))
-    console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
-    if plot and can_evaluate(result) and can_draw(result):
-        from ..plots import save_overview
+        for suffix, what, again in ((".png", "picture", plot), (".html", "report", page is not None)):
+            if not again:
+                remove_earlier(path.with_suffix(suffix), what)
+        warn_of_messages(result)
+        say_notes(remarks_after(result, system))
+        console.print(f"wrote {escaped(path)} and {escaped(path.with_suffix('.json'))}")
+        if plot and can_evaluate(result) and can_draw(result):
+            from ..plots import save_overview
 
-        picture = save_overview(result, path.with_suffix(".png"), loaded_scenario.description or loaded_scenario.name)
-        console.print(f"wrote {escaped(picture)}")
-    if can_evaluate(result):
-        print_metrics(result)
-    if page is not None:
-        _report(result, page, [*notes, *rest_remarks(result, system)], of_controller, path)
+            picture = save_overview(
+                result, path.with_suffix(".png"), loaded_scenario.description or loaded_scenario.name
+            )
+            console.print(f"wrote {escaped(picture)}")
+        if can_evaluate(result):
+            print_metrics(result)
+        if page is not None:
+            _report(result, page, [*notes, *rest_remarks(result, system)], of_controller, path)
 
 
 def _report_failure(

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ..errors import UserError
-from .display import console, escaped, say_notes
+from .display import console, escaped, interruptible, say_notes
 from .options import SCENARIO_HELP, FmusOption, SetOption, assignments
 
 
@@ -37,5 +37,6 @@ def ssp(
     start = Coupling(system).start
     system = replace(system, components=[replace(c, start=start[c.name]) for c in system.components])
     say_notes(f"an SSP has no signals: {s.target} keeps its start value there" for s in system.signals)
-    written = write(path, loaded_scenario.name, system, loaded_scenario.run.duration, loaded_scenario.run.step)
-    console.print(f"wrote {escaped(written)}")
+    with interruptible(path):
+        written = write(path, loaded_scenario.name, system, loaded_scenario.run.duration, loaded_scenario.run.step)
+        console.print(f"wrote {escaped(written)}")

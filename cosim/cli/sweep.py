@@ -11,7 +11,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, say_notes, show_table, staged_progress
+from .display import console, escaped, resumable, say_notes, show_table, staged_progress
 from .options import SCENARIO_HELP, ClusterOption, FmusOption, SetOption, WorkersOption, assignments, workers_at
 
 
@@ -98,16 +98,20 @@ def sweep(
     target = output or Path("results") / f"sweep_{loaded_scenario.name}"
     check_replaceable(*(target / name for name in written_files(plan.laws, worst)))
     say_notes(remarks_before(build_system(loaded_scenario, fmus, folder), loaded_scenario))
-    journaled = Journal(target / "runs.sqlite", PURPOSE)
-    with workers_at(workers, cluster) as where, journaled as journal, staged_progress() as report:
-        found = run_sweep(plan, journal, where, lambda done, total: report("co-simulation", done, total))
-    paths = save(found, target, metric[0] if metric else None, worst)
-    for title, headings, rows in tables(found, metric):
-        show_table(title, headings, rows)
-    for remark in remarks(found):
-        console.print(escaped(remark))
-    for path in paths:
-        console.print(f"wrote {escaped(path)}")
+    with resumable(target / "runs.sqlite") as finished:
+        with (
+            workers_at(workers, cluster) as where,
+            Journal(finished, PURPOSE) as journal,
+            staged_progress() as report,
+        ):
+            found = run_sweep(plan, journal, where, lambda done, total: report("co-simulation", done, total))
+        paths = save(found, target, metric[0] if metric else None, worst)
+        for title, headings, rows in tables(found, metric):
+            show_table(title, headings, rows)
+        for remark in remarks(found):
+            console.print(escaped(remark))
+        for path in paths:
+            console.print(f"wrote {escaped(path)}")
 
 
 def _varied(items: list[str] | None) -> dict[str, str]:

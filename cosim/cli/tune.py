@@ -12,7 +12,7 @@ import typer
 from filing.ownership import check_replaceable
 
 from ..errors import UserError
-from .display import console, escaped, print_front, print_tuning, remove_earlier, say_notes, staged_progress
+from .display import console, escaped, print_front, print_tuning, remove_earlier, resumable, say_notes, staged_progress
 from .options import (
     SCENARIO_HELP,
     ClusterOption,
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from ..scenario import Scenario
     from ..studies.engine import Workers
+    from ..studies.journal import Journal
     from ..studies.pareto_front import Search
     from ..studies.tuning import Grid, TuningProblem
 
@@ -147,6 +148,8 @@ def tune(
     from ..scenario_run import with_tolerances
     from ..scenario_system import build_system, controller_design, controller_values
     from ..studies.cases import cases_of
+    from ..studies.journal import Journal
+    from ..studies.numbers import PURPOSE
     from ..studies.pareto_front import Search, factors_of, objectives_of
     from ..studies.tunables import TunedController, ranges_over
     from ..studies.tuning import Grid, TuningProblem
@@ -193,11 +196,15 @@ def tune(
     check_replaceable(*(target / name for name in _files(search)))
     say_notes(remarks_before(system, loaded_scenario))
     problem = replace(problem, scenario=with_tolerances(loaded_scenario, fmus, folder))
-    with workers_at(workers, cluster) as where:
+    with (
+        resumable(target / "runs.sqlite") as finished,
+        workers_at(workers, cluster) as where,
+        Journal(finished, PURPOSE) as journal,
+    ):
         if search is None:
-            _follow_the_rule(problem, grid, target, where)
+            _follow_the_rule(problem, grid, target, journal, where)
         else:
-            _look_for_the_front(problem, search, known, grid, target, where)
+            _look_for_the_front(problem, search, known, grid, target, journal, where)
 
 
 def _files(search: Search | None) -> tuple[str, ...]:
@@ -206,13 +213,11 @@ def _files(search: Search | None) -> tuple[str, ...]:
     return (tuning_files if search is None else pareto_files).WRITTEN_FILES
 
 
-def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, workers: Workers) -> None:
-    from ..studies.journal import Journal
-    from ..studies.numbers import PURPOSE
+def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, journal: Journal, workers: Workers) -> None:
     from ..studies.tuning import tune as run_tuning
     from ..studies.tuning_files import save
 
-    with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
+    with staged_progress() as report:
         tuning = run_tuning(problem, grid, journal, workers, report)
     paths = save(tuning, problem, target)
     print_tuning(tuning)
@@ -220,16 +225,20 @@ def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, workers: 
 
 
 def _look_for_the_front(
-    problem: TuningProblem, search: Search, design: Design | None, grid: Grid, target: Path, workers: Workers
+    problem: TuningProblem,
+    search: Search,
+    design: Design | None,
+    grid: Grid,
+    target: Path,
+    journal: Journal,
+    workers: Workers,
 ) -> None:
-    from ..studies.journal import Journal
-    from ..studies.numbers import PURPOSE
     from ..studies.pareto import pareto
     from ..studies.pareto_files import WRITTEN_FILES, save
     from ..studies.tunables import TunedController
 
     controller = TunedController(problem.scenario, problem.fmus, problem.folder, design)
-    with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
+    with staged_progress() as report:
         front = pareto(problem, search, controller, grid, journal, workers, report, console.print)
     paths = save(front, problem, target)
     print_front(front)

@@ -16,7 +16,7 @@ from fmu_export.files import FilePath
 from ihc_fmu.arguments import check_among
 
 from ..judged_signals import overflow
-from ..metric_meanings import WINDOW, MetricMeaning, is_pendulum, measure_of
+from ..metric_meanings import WINDOW, MetricMeaning, kept_words, lost_words, measure_of
 from ..metrics import Metrics
 from ..results import Result
 from ..scenario import Scenario
@@ -123,7 +123,7 @@ class Comparison:
                 cells.append(estimate_text(value, q.text) + mark(q, self.steady(law), value.value))
             rows.append([q.heading, *cells])
         kept = (f"{self.kept(law)} of {self.count}" for law in self._of_law)
-        return [*rows, ["kept upright" if is_pendulum(self.quantities) else "acting to the end", *kept]]
+        return [*rows, [kept_words(self.quantities), *kept]]
 
     def _changes(self) -> list[list[str]]:
         """Return a row for each metric with each other law's change over the first one's."""
@@ -396,8 +396,9 @@ class Comparison:
         lost = {law: self.count - self.kept(law) for law in laws}
         if any(lost.values()):
             several = ", ".join(f"{law} {n}" for law, n in lost.items())
-            what = "pendulum lost" if is_pendulum(self.quantities) else "law not acting to the end"
-            said.append(f"{what}, and not in the means unless in all draws: {several} of {self.count}")
+            said.append(
+                f"{lost_words(self.quantities)}, and not in the means unless in all draws: {several} of {self.count}"
+            )
         if not self.chance:
             said.append(
                 "nothing is left to chance: the plant has neither encoder offsets nor noise, so one run says all"

@@ -10,51 +10,39 @@ from fmu_export.variables import did_you_mean
 
 from ..errors import UserError
 from ..fmu_files import describe
+from ..prepared import start_value
 from ..scenario import Scenario
 from ..scenario_files import check_fmus_exist, files
 from ..start_values import not_settable
 from ..wiring import CONTROLLER, PLANT
 
-START = "start"
-
 
 def entry_of(name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> str:
-    """Return the scenario's entry that `name` means: `plant.start.delta_0` also for `plant.delta_0`.
+    """Return the scenario's entry that `name` means, see `Scenario.entry`.
 
-    An entry of the component's own section, such as `plant.fmu`, goes before a variable of that name. Raises UserError for
-    a variable that the component's FMU does not have, or that cannot be set.
+    Raises UserError for a component that there is not, and for a variable that its FMU does not have, or that cannot be set.
     """
-    component, variable = _parted(name, scenario)
-    if component is None:
-        return name
-    _variable(component, variable, scenario, fmus, folder)
-    section = component if component in (CONTROLLER, PLANT) else f"components.{component}"
-    return f"{section}.{START}.{variable}"
+    entry = scenario.entry(name)
+    variable_of(entry, scenario, fmus, folder)
+    return entry
 
 
-def variable_of(name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None) -> ScalarVariable | None:
+def variable_of(
+    entry: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None = None
+) -> ScalarVariable | None:
     """Return the FMU's variable whose start value an entry is; None for another entry. Raises as `entry_of`."""
-    component, variable = _parted(name, scenario)
-    return None if component is None else _variable(component, variable, scenario, fmus, folder)
-
-
-def _parted(name: str, scenario: Scenario) -> tuple[str | None, str]:
-    """Return the component and its variable that an entry names; (None, "") for an entry that is no start value."""
-    head, _, rest = name.partition(".")
-    if head == "components":
-        head, _, rest = rest.partition(".")
-    elif head in type(scenario).model_fields and head not in (CONTROLLER, PLANT):
-        return None, ""
-    part = scenario.parts.get(head)
-    if part is None:
-        known = (*scenario.parts, *(field for field in type(scenario).model_fields if field not in (CONTROLLER, PLANT)))
+    component, variable = start_value(entry)
+    if component in scenario.parts:
+        return _variable(component, variable, scenario, fmus, folder)
+    head, *rest = entry.removeprefix("components.").split(".")
+    known = (*scenario.parts, *(field for field in type(scenario).model_fields if field not in (CONTROLLER, PLANT)))
+    if component or head not in known:
         raise UserError(
-            f"the scenario has no {shown(head)}, of which {shown(name)} is to be{did_you_mean(head, known)}"
+            f"the scenario has no {shown(head)}, of which {shown(entry)} is to be{did_you_mean(head, known)}"
         )
-    if not rest:
-        raise UserError(f"{shown(name)} is no entry of the scenario, but what has entries")
-    variable = rest.removeprefix(f"{START}.")
-    return (None, "") if rest in type(part).model_fields and rest != START else (head, variable)
+    if not rest or (head in scenario.parts and rest == ["start"]):
+        raise UserError(f"{shown(entry)} is no entry of the scenario, but what has entries")
+    return None
 
 
 def _variable(component: str, name: str, scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> ScalarVariable:

@@ -58,7 +58,7 @@ class Experiment:
     def changes(self, law: str, number: int | None) -> dict[str, Any]:
         """Return what a law, or another choice, and a draw change in the scenario."""
         drawn = {} if number is None else draw_changes(self.scenario, number, self.chance)
-        return {**drawn, self.entry: law if self.values is None else self.values[law]}
+        return {**drawn, self.scenario.entry(self.entry): law if self.values is None else self.values[law]}
 
 
 def known_laws(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> list[str]:

@@ -176,7 +176,9 @@ class Journal:
                     self._file = self._connected()
                 with self._file:
                     yield self._file
-        except (sqlite3.DatabaseError, OSError) as error:
+        except OSError as error:
+            raise UserError(f"the journal {self.path} cannot be written: {error.strerror}") from None
+        except sqlite3.DatabaseError as error:
             raise UserError(f"the journal {self.path} is damaged or cannot be used: {error}") from None
 
     def _connected(self) -> sqlite3.Connection:

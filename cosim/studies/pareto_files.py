@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from filing.files import staging, write_file
 from fmu_export.files import FilePath
 
-from ..plots import COLOURS, OTHERS, literal, save_figure
+from ..plots import COLOURS, OTHERS, literal, logarithmic, save_figure
 from .pareto_front import DOMINATED, FRONT, LC, LOST, RETUNED, RULE, Front, ParetoPoint
 from .tuning import TuningProblem
 from .tuning_files import cell, write_best
@@ -110,14 +109,10 @@ def _panel(axis: Any, front: Front, i: int, j: int) -> None:
                 value = factors[q[k].name] * front.linear.held_out[k].value
                 line(value, ls="--", lw=1, color=OTHERS[5], label=what if k == j else None)
     shown = [p for p in front.points if p.kind != LOST]
-    for k, scale, label in ((i, axis.set_xscale, axis.set_xlabel), (j, axis.set_yscale, axis.set_ylabel)):
+    for k, which, label in ((i, "x", axis.set_xlabel), (j, "y", axis.set_ylabel)):
         label(literal(q[k].heading))
         if _wide(shown, k):
-            scale("log")
-            ruler = axis.xaxis if k == i else axis.yaxis
-            ruler.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-            ruler.set_major_formatter(StrMethodFormatter("{x:g}"))
-            ruler.set_minor_formatter(NullFormatter())
+            logarithmic(axis, which)
     axis.grid(alpha=0.3, which="both")
 
 

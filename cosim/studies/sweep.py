@@ -176,6 +176,11 @@ class Sweep:
         """Return in which draws the law took over once and acted to the end, and no FMU ended the run."""
         return self.column(law, "kept") == 1.0
 
+    @property
+    def counts(self) -> bool:
+        """Whether there is a draw that counts for any law."""
+        return any(self.kept(law).any() for law in self.plan.laws)
+
     def failed(self, law: str) -> Array:
         """Return in which draws an FMU ended the run with an error."""
         return np.isnan(self.column(law, "kept"))

@@ -77,24 +77,18 @@ def _by_run(sweep: Sweep, name: str) -> np.ndarray:
 def save(sweep: Sweep, folder: FilePath, measure: str | None = None, worst: int = WORST) -> list[Path]:
     """Write table, pictures, summary and the `worst` draws of each law by `measure` (None: `Sweep.measure`).
 
+    Where no draw counts there are no pictures.
     FMUs, tables, designs and parameter files that lie beside the scenario are copied beside the worst ones. Raises
     UserError where something cannot be written, or would replace a file of somebody else.
     """
     check_replaceable(*(Path(folder) / file for file in written_files(sweep.plan.laws, worst)))
     name = measure or sweep.measure
-    title = f"{sweep.plan.scenario.name}: {title_of(sweep)}"
     ranked = {law: sweep.worst(law, name, worst) for law in sweep.plan.laws}
 
     def write(place: Path) -> None:
         _write_tables(sweep, place)
-        for picture, figure in (
-            ("distribution", distribution(sweep)),
-            ("scatter", scatter(sweep, name)),
-            ("tornado", tornado(sweep, name)),
-            ("sensitivity", sensitivities(sweep)),
-        ):
-            if figure is not None:
-                save_figure(figure, place / f"{picture}.png", title)
+        if sweep.counts:
+            _draw(sweep, name, place)
         for law, draws in ranked.items():
             for k, draw in enumerate(draws, 1):
                 _write_scenario(sweep.plan, law, draw, place, _worst_name(law, k))
@@ -107,6 +101,17 @@ def save(sweep: Sweep, folder: FilePath, measure: str | None = None, worst: int 
         for law, draws in ranked.items()
     }
     return save_described(folder, CONTENTS, {**summary(sweep), "worst": {"measure": name, **told}}, write)
+
+
+def _draw(sweep: Sweep, measure: str, place: Path) -> None:
+    for picture, figure in (
+        ("distribution", distribution(sweep)),
+        ("scatter", scatter(sweep, measure)),
+        ("tornado", tornado(sweep, measure)),
+        ("sensitivity", sensitivities(sweep)),
+    ):
+        if figure is not None:
+            save_figure(figure, place / f"{picture}.png", f"{sweep.plan.scenario.name}: {title_of(sweep)}")
 
 
 def _worst_name(law: str, number: int) -> str:

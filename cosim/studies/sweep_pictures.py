@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.patches import Patch
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import PercentFormatter
 
 from ihc_fmu.arrays import QUIET
 
-from ..plots import Picture, colours, literal
+from ..metric_meanings import lost_words
+from ..plots import Picture, colours, literal, logarithmic
+from ..unit_definitions import with_unit
 from .sensitivity import classes_of
 from .sweep import Sweep
 
@@ -27,6 +31,12 @@ MOST_TICKS = 6
 """Numbers on a parameter's axis."""
 SPAN = 30.0
 """Ratio of the largest to the smallest from which on a scale is logarithmic."""
+DECADE = 10.0
+"""The same of what is drawn evenly in its logarithm."""
+BAND = 0.05
+"""Height for each law's lost draws, above the others, as a part of a panel's."""
+APART = "#888888"
+"""Colour in the legend of what is drawn for every law."""
 ENDS = ("#4393c3", "#d6604d")
 """Colours of a parameter's lowest and highest class."""
 
@@ -46,7 +56,7 @@ def distribution(sweep: Sweep) -> Picture:
             shares = np.arange(1, there.size + 1) / sweep.plan.count
             some = _some(there.size)
             axis.step(there[some], shares[some], where="post", color=shades[law], label=literal(law), lw=1.4)
-        _scale(axis.set_xscale, np.concatenate(list(ranked.values())))
+        _scale(axis, "x", np.concatenate(list(ranked.values())))
         axis.set_xlabel(literal(sweep.quantities[name].heading))
         axis.set_ylim(-0.02, 1.02)
         axis.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -58,39 +68,62 @@ def distribution(sweep: Sweep) -> Picture:
 
 def _differs(sweep: Sweep, name: str) -> bool:
     values = np.concatenate([sweep.ranked(law, name) for law in sweep.plan.laws])
-    return bool(np.any(values != values[0]))
+    there = values[np.isfinite(values)]
+    return bool(there.size and np.ptp(there))
 
 
 def scatter(sweep: Sweep, measure: str) -> Picture:
-    """Return a metric over each thing drawn, with the means of its classes; crosses at the top: draws without a number."""
+    """Return a metric over each thing drawn, with the means of its classes over the draws that have a number.
+
+    Those that have none are drawn apart and are in no mean: triangles are of draws that never settle, at their duration,
+    crosses in a band above of lost ones.
+    """
     plan = sweep.plan
     figure, axes = _panels(len(plan.names))
     shades, some = colours(plan.laws), _some(plan.count)
+    counted = {law: sweep.counted(law, measure) for law in plan.laws}
+    never = {law: np.isinf(sweep.ranked(law, measure)) & np.isfinite(counted[law]) for law in plan.laws}
+    lost = {law: ~sweep.kept(law) for law in plan.laws}
     for (path, name), axis in zip(plan.names.items(), axes, strict=True):
         x = _positions(sweep, path)
         classes = classes_of(plan.drawn[path], bool(plan.listed(path)), CLASSES)
-        for row, law in enumerate(plan.laws):
-            values = sweep.counted(law, measure)
-            axis.plot(x[some], values[some], ".", ms=3, alpha=0.35, color=shades[law], zorder=1, rasterized=True)
+        for law in plan.laws:
+            style = {"color": shades[law], "ls": "none"}
+            values = np.where(never[law], math.nan, counted[law])
+            axis.plot(x[some], values[some], ".", ms=3, alpha=0.35, zorder=1, rasterized=True, **style)
+            at_end = np.flatnonzero(never[law])[:MOST_POINTS]
+            axis.plot(x[at_end], counted[law][at_end], "^", ms=5, mfc="none", mew=0.8, zorder=2, **style)
             centres, means = _of_classes(classes, x), _of_classes(classes, values)
             axis.plot(centres, means, "-o", ms=3, lw=1.8, color=shades[law], label=literal(law), zorder=3)
-            lost = x[np.isinf(sweep.ranked(law, measure)) & np.isnan(values)][:MOST_POINTS]
-            transform = axis.get_xaxis_transform()
-            axis.plot(
-                lost,
-                np.full(lost.size, 0.985 - 0.03 * row),
-                "x",
-                ms=4,
-                color=shades[law],
-                transform=transform,
-                zorder=4,
-            )
-        _scale(axis.set_yscale, np.concatenate([sweep.counted(law, measure) for law in plan.laws]))
+        _scale(axis, "y", np.concatenate([*counted.values()]))
+        _draw_lost(axis, [(x[lost[law]][:MOST_POINTS], shades[law]) for law in plan.laws])
         _name_axis(axis, sweep, path, name)
     for axis in axes[::COLUMNS]:
         axis.set_ylabel(literal(sweep.quantities[measure].heading))
-    _legend(figure, axes[0])
+    kinds = (("^", "never settles: at its duration", never), ("x", lost_words(sweep.quantities), lost))
+    apart = [
+        Line2D([], [], ls="none", marker=marker, mfc="none", color=APART, label=said)
+        for marker, said, draws in kinds
+        if any(np.any(of_law) for of_law in draws.values())
+    ]
+    _legend(figure, axes[0], apart)
     return figure
+
+
+def _draw_lost(axis: Any, lost: list[tuple[Array, str]]) -> None:
+    """Draw lost draws as crosses in a band above all others, a row for each law's, where there are any."""
+    if not any(x.size for x, _ in lost):
+        return
+    transform, band = axis.get_yaxis().get_transform(), BAND * (len(lost) + 0.5)
+    low, high = transform.transform(np.array(axis.get_ylim()))
+    axis.set_ylim(top=float(transform.inverted().transform(low + (high - low) / (1.0 - band))))
+    shaded = Rectangle(
+        (0.0, 1.0 - band), 1.0, band, transform=axis.transAxes, color=APART, alpha=0.15, lw=0.0, zorder=0
+    )
+    axis.add_patch(shaded)
+    for row, (x, shade) in enumerate(lost):
+        places = np.full(x.size, 1.0 - BAND * (row + 0.75))
+        axis.plot(x, places, "x", ms=4, color=shade, transform=axis.get_xaxis_transform(), zorder=4)
 
 
 def tornado(sweep: Sweep, measure: str) -> Picture:
@@ -170,9 +203,9 @@ def _panels(count: int, height: float = 2.7, share: str = "") -> tuple[Picture, 
     return figure, axes[:count]
 
 
-def _legend(figure: Picture, axis: Any) -> None:
-    handles, labels = axis.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=max(1, len(labels)), frameon=False)
+def _legend(figure: Picture, axis: Any, besides: Sequence[Line2D] = ()) -> None:
+    handles = [*axis.get_legend_handles_labels()[0], *besides]
+    figure.legend(handles=handles, loc="outside lower center", ncols=max(1, len(handles)), frameon=False)
 
 
 def _some(size: int) -> Array:
@@ -180,10 +213,10 @@ def _some(size: int) -> Array:
     return np.unique(np.linspace(0, max(0, size - 1), min(size, MOST_POINTS)).astype(np.intp))
 
 
-def _scale(set_scale: Any, values: Array) -> None:
+def _scale(axis: Any, which: str, values: Array, span: float = SPAN) -> None:
     there = values[np.isfinite(values)]
-    if there.size and there.min() > 0.0 and there.max() > SPAN * there.min():
-        set_scale("log")
+    if there.size and there.min() > 0.0 and there.max() > span * there.min():
+        logarithmic(axis, which)
 
 
 def _positions(sweep: Sweep, path: str) -> Array:
@@ -193,16 +226,16 @@ def _positions(sweep: Sweep, path: str) -> Array:
 
 
 def _name_axis(axis: Any, sweep: Sweep, path: str, name: str) -> None:
-    axis.set_xlabel(literal(name))
+    axis.set_xlabel(literal(with_unit(name, sweep.plan.units[path])))
     listed = sweep.plan.listed(path)
     if listed and sweep.plan.values(path).dtype.kind not in "if":
         axis.set_xticks(range(len(listed)), [literal(str(value)) for value in listed])
     elif listed and len(listed) <= MOST_TICKS:
         axis.set_xticks(listed)
-    elif sweep.plan.logarithmic(path):
-        axis.set_xscale("log")
     else:
         axis.locator_params(axis="x", nbins=MOST_TICKS)
+        if sweep.plan.logarithmic(path):
+            _scale(axis, "x", sweep.plan.drawn[path], DECADE)
 
 
 @QUIET

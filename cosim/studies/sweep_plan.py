@@ -41,7 +41,7 @@ class SweepPlan:
     """What is run: the scenario as all runs have it, what is varied, the laws, and what was drawn.
 
     `drawn`: an array for each variation and each encoder offset by its path; of a list, the numbers of its values.
-    `seeded`: the noise has the draw's number as its seed.
+    `seeded`: the noise has the draw's number as its seed. `units`: of all that is drawn, by its path.
     """
 
     scenario: Scenario
@@ -54,6 +54,7 @@ class SweepPlan:
     drawn: Mapping[str, Array]
     seeded: bool
     quantities: Mapping[str, MetricMeaning]
+    units: Mapping[str, str]
 
     @property
     def count(self) -> int:
@@ -149,7 +150,8 @@ def plan_sweep(
     judged = with_tolerances(scenario, fmus, folder)
     if set(judged.evaluate.tolerances or ()) == {LEAST}:
         raise UserError(
-            "nothing moves in the scenario as it stands, so settling has no tolerance; --set evaluate.tolerance gives one"
+            "nothing moves in the scenario as it stands, so settling has no tolerance; --set evaluate.tolerance gives one, "
+            "or start it elsewhere"
         )
     own: dict[str, Any] = {"controller.other_model": True, "record.every": 1}  # checked as the scenario stands
     if chance and "run.seed" not in paths:
@@ -170,6 +172,7 @@ def plan_sweep(
         drawn,
         chance.noise,
         QUANTITIES if found is None else quantities_of(found),
+        {path: entries.unit(path) for path in drawn},
     )
 
 

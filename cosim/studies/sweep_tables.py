@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from ..metric_meanings import WINDOW, is_pendulum
+from ..metric_meanings import WINDOW, kept_words, lost_words
 from ..tables import mark
 from .described import pair
 from .estimates import change_text, estimate_text
@@ -17,6 +17,11 @@ FORMAT = "qube-ihc sweep 1"
 
 WIDE = 0.2
 """Half width of the interval of a share of the variance, from which on more draws are asked for."""
+NOTHING = (
+    "look at one: `qube-ihc run` runs a worst draw (worst_*.toml) alone, and says what an FMU says; is what is varied, or "
+    "the scenario itself, beyond what a law can hold, or run.duration too short?"
+)
+"""What to look at where every draw is lost."""
 FEW = 3
 """How many parameters are named that decide a metric."""
 
@@ -27,16 +32,18 @@ Table = tuple[str, list[str], list[list[str]]]
 def tables(sweep: Sweep, metrics: Sequence[str] | None = None) -> list[Table]:
     """Return the means, by how much and how often each law is better than the first, and what decides the metrics.
 
-    `metrics`: those that are told of; None: all.
+    `metrics`: those that are told of; None: all. Where no draw counts there is nothing of them to tell.
     """
     plan, names = sweep.plan, sweep.shown if metrics is None else list(metrics)
+    if not sweep.counts:
+        names = []
     (base, *others), count = plan.laws, plan.count
     low, high = (f"{100 * QUANTILES[k]:g}" for k in (0, -1))
     title = f"{plan.scenario.name}, {title_of(sweep)}"
     found = [
         (f"{title}: mean ± 95 % interval [{low} to {high} % of the draws]", ["", *plan.laws], _means(sweep, names))
     ]
-    if others:
+    if others and names:
         compared = [q for q in map(sweep.quantities.__getitem__, names) if q.role != "capture"]
         rows = [[q.symbol, *(_over_first(sweep, law, q.name) for law in others)] for q in compared]
         found.append((f"over {base} on the same {count} draws: change of the mean; better in", ["", *others], rows))
@@ -61,13 +68,8 @@ def title_of(sweep: Sweep) -> str:
 
 def _symbol(sweep: Sweep, name: str) -> str:
     if name == KEPT:
-        return kept_words(sweep)
+        return kept_words(sweep.quantities)
     return sweep.quantities[name].symbol
-
-
-def kept_words(sweep: Sweep) -> str:
-    """Return what a law does in the draws that count."""
-    return "kept upright" if is_pendulum(sweep.quantities) else "acting to the end"
 
 
 def _means(sweep: Sweep, names: Sequence[str]) -> list[list[str]]:
@@ -80,7 +82,7 @@ def _means(sweep: Sweep, names: Sequence[str]) -> list[list[str]]:
             cells.append(estimate_text(value, q.text) + mark(q, sweep.steady(law), value.value) + between)
         rows.append([q.heading, *cells])
     kept = [f"{int(sweep.kept(law).sum())} of {sweep.plan.count}" for law in sweep.plan.laws]
-    return [*rows, [kept_words(sweep), *kept]]
+    return [*rows, [kept_words(sweep.quantities), *kept]]
 
 
 def _over_first(sweep: Sweep, law: str, name: str) -> str:
@@ -119,10 +121,12 @@ def remarks(sweep: Sweep) -> list[str]:
     lost = {law: count - int(sweep.kept(law).sum()) for law in plan.laws}
     failed = {law: int(sweep.failed(law).sum()) for law in plan.laws}
     if any(lost.values()):
-        what = "pendulum lost" if is_pendulum(sweep.quantities) else "law not acting to the end"
-        said.append(f"{what}: {several(lost)}; not in the means and changes, and worse in the shares")
+        where = "not in the means and changes, and worse in the shares" if sweep.counts else "none is left to compare"
+        said.append(f"{lost_words(sweep.quantities)}: {several(lost)}; {where}")
     if any(failed.values()):
         said.append(f"of these ended by an error of an FMU: {several(failed)}")
+    if not sweep.counts:
+        return [*said, NOTHING]
     for name, q in sweep.quantities.items():
         never = {law: sweep.never(law, name) for law in plan.laws} if q.role == "settling" else {}
         if any(never.values()):

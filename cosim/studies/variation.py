@@ -29,6 +29,7 @@ from ..scenario import Scenario
 from ..scenario_system import build_system
 from ..start_values import as_value
 from ..typed import value_of
+from ..unit_definitions import NO_UNIT, unit_of
 from .entries import entry_of
 from .experiments import LAW
 from .ranges import SEPARATOR, range_of
@@ -126,6 +127,11 @@ class Entries:
         if len(parts) < 3 or parts[0] not in self._variables or parts[1] != "start":
             return None
         return parts[0], self._variables[parts[0]][parts[2]]
+
+    def unit(self, path: str) -> str:
+        """Return the unit of a start value; that of another entry is not known."""
+        variable = self._variable(path)
+        return NO_UNIT if variable is None else unit_of(variable[1])
 
     def check(self, variation: Variation, ends: Sequence[Any]) -> None:
         """Raise UserError where one of `ends`, its values or the outermost of them, cannot be that of the entry."""

@@ -37,9 +37,14 @@ def check_replaceable(*paths: Path, kind: str = "") -> None:
     """
     for path in paths:
         try:
-            exists = path.is_file()
+            exists = path.exists()
+            above = next((folder for folder in path.parents if folder.exists()), None)
         except OSError as error:
             raise UserError(f"{path} cannot be written: {error.strerror}") from None
+        if exists and path.is_dir():
+            raise UserError(f"{path} cannot be written: it is a folder")
+        if above is not None and not above.is_dir():
+            raise UserError(f"{path} cannot be written: {above} is a file, not a folder")
         if not exists:
             continue
         if not is_ours(path):

@@ -149,8 +149,6 @@ def _beside(path: Path, content: Content | None, check: Check) -> Iterator[tuple
     """Give a new file beside `path` and its path; it is closed and, where it still has that name, removed at the end."""
     with _named(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise UserError(f"{path} cannot be written: it is a folder")
         check(path, content if isinstance(content, str | bytes) else None)
         beside = path.with_name(f".{path.name[:50]}.{secrets.token_hex(4)}.tmp")
         file = beside.open("xb")

@@ -247,12 +247,25 @@ def test_changes_replace_only_what_they_name():
     assert changed.changed(undone) == scenario == load_scenario("tilt")[0]
 
 
+def test_a_start_value_is_named_without_start_too():
+    scenario = load_scenario("tilt")[0].changed({"components": {"other": {"fmu": "QubeServo2.fmu"}}})
+    short = {"plant.delta_0": 0.3, "controller.law": "LC", "plant.fmu": "Mine.fmu", "other.m_p": 0.03, "plant.a.b": 1.0}
+    assert {name: scenario.entry(name) for name in short} == {
+        "plant.delta_0": "plant.start.delta_0",
+        "controller.law": "controller.start.law",
+        "plant.fmu": "plant.fmu",
+        "other.m_p": "components.other.start.m_p",
+        "plant.a.b": "plant.start.a.b",
+    }
+    assert scenario.changed(short) == scenario.changed({scenario.entry(name): v for name, v in short.items()})
+
+
 @pytest.mark.parametrize(
     ("path", "value", "problem"),
     [
         ("run.durration", 1.0, "there is no entry run.durration; did you mean duration?"),
         ("rum.step", 1.0, "the scenario has no entry 'rum.step'; did you mean run?"),
-        ("controller.strt.law", "LC", "the scenario has no entry 'controller.strt.law'; did you mean start?"),
+        ("contrler.start.law", "LC", "the scenario has no entry 'contrler.start.law'; did you mean controller?"),
         ("run.step.size", 1.0, "the scenario has no entry 'run.step.size'"),
         ("stepp", 1.0, "there is no entry stepp"),
         ("run.step", -1.0, "run.step must be greater than 0, found -1.0"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import shutil
+from pathlib import Path
 from typing import Any
 
 import fmpy
@@ -21,7 +22,9 @@ from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
 from cosim.scenario_system import build_system
 from cosim.system_export import export_system
+from cosim.system_file import write
 from fmu_export.errors import UserError
+from fmu_export.reading import parse_toml
 from ihc_fmu.inverse import inverse_design
 from ihc_fmu.regulator.interface import INTERFACE, OUTPUTS
 from ihc_fmu.regulator.start_values import design_regulator
@@ -155,7 +158,7 @@ def test_energy_is_conserved_without_friction_and_inputs(name, plant_of):
     assert max(drift) < 1e-8 * moved
 
 
-def test_the_fmu_linearizes_to_the_jacobian_of_the_equations(name, plant_of, fmu_of):
+def test_the_fmu_linearizes_to_the_jacobian_of_the_equations(name, plant_of, fmu_of, tmp_path):
     system = system_of(name)
     plant = plant_of(name)
     x, u, rates, _ = equations(name, plant)
@@ -171,6 +174,12 @@ def test_the_fmu_linearizes_to_the_jacobian_of_the_equations(name, plant_of, fmu
     np.testing.assert_array_equal(model.C, system.C)
     assert (model.states, model.inputs, model.outputs) == (system.states, system.inputs, system.outputs)
     assert model.error < 1e-8
+    shipped = EXAMPLES / name / f"{name}.toml"
+    again = Path(shutil.copy(shipped, tmp_path))
+    write(again, model)
+    one, other = (parse_toml(path.read_text(encoding="utf-8"), path) for path in (again, shipped))
+    assert one.keys() == other.keys()
+    assert one.get("equilibrium", {}).keys() == other.get("equilibrium", {}).keys()
 
 
 TILTED = {

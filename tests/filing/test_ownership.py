@@ -66,6 +66,17 @@ def test_what_was_written_before_is_replaced(tmp_path, name):
     assert (tmp_path / name).read_bytes() == b"new"
 
 
+@pytest.mark.parametrize(
+    ("path", "why"), [("taken", "it is a folder"), ("file/new.csv", "{}/file is a file, not a folder")]
+)
+def test_what_cannot_be_a_file_is_told_before_anything_is_written(tmp_path, path, why):
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError) as refusal:
+        check_replaceable(tmp_path / path)
+    assert str(refusal.value) == f"{tmp_path / path} cannot be written: {why.format(tmp_path)}"
+
+
 @pytest.mark.parametrize("name", FOREIGN)
 def test_the_file_of_somebody_else_stays(tmp_path, name):
     path = tmp_path / name

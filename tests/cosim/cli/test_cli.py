@@ -485,7 +485,7 @@ def test_an_interrupted_command_says_what_was_written(tmp_path, monkeypatch, fmu
     (tmp_path / "QubeServo2.fmu").symlink_to(fmus / "QubeServo2.fmu")
     done = ended(*command, cwd=tmp_path)
     assert done.returncode == 130, done.stderr
-    said = done.stdout.splitlines()[-1]
+    said = done.stderr.splitlines()[-1]
     assert said.startswith("interrupted; ")
     assert sorted(said.removeprefix("interrupted; ").removeprefix("wrote ").split(", ")) == (
         written or ["no file was written"]
@@ -501,7 +501,33 @@ def test_ctrl_c_while_the_command_line_is_loaded_is_told_too(monkeypatch, capsys
     monkeypatch.setitem(sys.modules, "cosim.cli", Loading())
     with pytest.raises(SystemExit) as end:
         entry_point()
-    assert (end.value.code, capsys.readouterr().out) == (130, "interrupted; no file was written\n")
+    assert (end.value.code, capsys.readouterr().err) == (130, "interrupted; no file was written\n")
+
+
+@pytest.mark.parametrize(
+    ("step", "command", "said"),
+    [
+        ("cosim.scenario.load_located", ["sweep", "tilt", "--vary", "plant.m_p=±10%"], "no file was written"),
+        ("cosim.remarks.remarks_before", ["region", "tilt", "--over", "plant.delta_0=-1..1"], "no file was written"),
+        ("cosim.scenario_run.with_tolerances", ["tune", "tilt"], "no file was written"),
+        ("cosim.scenario.load_located", ["compare", "tilt"], "no file was written"),
+        ("cosim.studies.journal.Journal.digests", ["sweep", "tilt", "--vary", "plant.m_p=±10%"], "no run was finished"),
+        (
+            "cosim.studies.sweep_files.save",
+            ["sweep", "tilt", "--vary", "plant.m_p=±10%", "--draws", "1"],
+            "finished runs",
+        ),
+    ],
+    ids=str,
+)
+def test_ctrl_c_before_between_and_after_the_runs_of_a_study_is_told_in_a_line(
+    elsewhere, monkeypatch, step, command, said
+):
+    module, _, name = step.rpartition(".")
+    monkeypatch.setattr(step, interrupted_after(pydoc.locate(module).__dict__[name]))
+    done = ended(*command, *SHORT, cwd=elsewhere)
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr.splitlines()[-1].startswith(f"interrupted; {said}")
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="processes are found in /proc")

@@ -37,7 +37,7 @@ def test_start_values_are_named_without_start(tilted, name, entry, variable):
     ("name", "sentence"),
     [
         ("plant.delta0", "QubeServo2.fmu has no variable 'delta0'; did you mean delta_0 or"),
-        ("plant.start", "QubeServo2.fmu has no variable"),
+        ("plant.start", "'plant.start' is no entry of the scenario, but what has entries"),
         ("plnt.delta_0", "the scenario has no 'plnt', of which 'plnt.delta_0' is to be; did you mean plant?"),
         ("delta_0", "the scenario has no 'delta_0', of which 'delta_0' is to be"),
         ("plant.delta", "plant.delta is an output variable that the FMU calculates"),

@@ -12,6 +12,7 @@ import pytest
 import cosim
 import ihc_fmu
 from cosim.errors import UserError
+from cosim.plots import COLOURS
 from cosim.scenario import load_scenario
 from cosim.scenario_run import run_scenario
 from cosim.studies.estimates import change
@@ -19,6 +20,7 @@ from cosim.studies.journal import Journal
 from cosim.studies.numbers import PURPOSE, numbers
 from cosim.studies.sweep import Sweep, run_sweep, sweep
 from cosim.studies.sweep_files import save, table
+from cosim.studies.sweep_pictures import scatter
 from cosim.studies.sweep_plan import OWN, plan_sweep
 from cosim.studies.sweep_tables import remarks, summary, tables
 from tests.cosim.command import journal_rows
@@ -193,6 +195,31 @@ def test_lost_draws_are_told_and_not_hidden(plan):
     assert any(s.startswith("* not steady: IHC") for s in said)
     assert any("it takes 64 draws that count and differ" in s for s in said)
     assert summary(found)["laws"]["LC"]["kept"] == 2
+
+
+def test_where_every_draw_is_lost_a_remark_says_so_and_what_to_look_at_in_place_of_tables_and_pictures(plan, tmp_path):
+    found = by_hand(plan(), LC={"kept": 0.0}, IHC={"kept": 0.0})
+    ((_, _, rows),) = tables(found)
+    assert rows == [["kept upright", "0 of 4", "0 of 4"]]
+    first, last = remarks(found)
+    assert first == "pendulum lost: LC 4, IHC 4 of 4; none is left to compare"
+    assert last.startswith("look at one: `qube-ihc run` runs a worst draw (worst_*.toml) alone")
+    assert not [path for path in save(found, tmp_path) if path.suffix == ".png"]
+
+
+def test_the_scatter_picture_marks_what_has_no_number_apart_and_leaves_it_out_of_the_means(plan):
+    settling = [1.0, math.nan, 3.0, 5.0]
+    drawn = scatter(by_hand(plan(), LC={"settling_time": settling, "kept": [1, 1, 1, 0]}, IHC={}), "settling_time")
+    mass, a_min, *_ = drawn.axes
+    assert (mass.get_xlabel(), a_min.get_xlabel()) == ("plant.m_p [kg]", "controller.a_min")
+    lines = {
+        line.get_marker(): np.asarray(line.get_ydata()) for line in mass.lines if line.get_color() == COLOURS["LC"]
+    }
+    assert lines["^"].tolist() == [10.0]
+    assert sorted(lines["o"][np.isfinite(lines["o"])].tolist()) == [1.0, 3.0]
+    assert mass.get_ylim()[1] > 10.0
+    legend = [text.get_text() for text in drawn.legends[0].get_texts()]
+    assert legend == ["LC", "IHC", "never settles: at its duration", "pendulum lost"]
 
 
 def test_what_decides_is_found_in_the_draws(plan):
