@@ -82,7 +82,7 @@ def tune(
         typer.Option(
             metavar="NAME=FACTOR",
             help="Largest value of an objective for the chosen point, relative to the LC's, e.g. `energy=1`; may be "
-            "repeated; none: 1 for every objective but the first.",
+            "repeated; none: 1 for every objective but the first, or with --goal no limit.",
         ),
     ] = None,
     goal: Annotated[
@@ -90,7 +90,7 @@ def tune(
         typer.Option(
             metavar="NAME=FACTOR",
             help="Value to reach of an objective, relative to the LC's, e.g. `settling=0.2`; may be repeated: the search "
-            "goes on towards all at once, and the chosen point is the nearest to them.",
+            "goes on towards all at once, and the chosen point is the nearest to them within the limits.",
         ),
     ] = None,
     case: Annotated[

@@ -254,15 +254,12 @@ def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
 
 
 def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoPoint | None:
-    """Return the point of a kind that keeps the limits in all draws and has the least first objective in the search's.
+    """Return the point of a kind that keeps the limits in all draws and is best in the search's: nearest to the goals.
 
-    With goals, the one that is nearest to them in the search's. The held-out draws do not choose, so that what they say of
-    the chosen point is not flattered.
+    Without goals, the one with the least first objective. The held-out draws do not choose, so that what they say of the
+    chosen point is not flattered.
     """
     linear, names = points[0], [q.name for q in search.objectives]
-    if search.goals:
-        some = [p for p in points if p.kind == kind]
-        return min(some, key=lambda p: search.beyond(p.searched, linear.searched), default=None)
     limits = {names.index(name): factor for name, factor in search.bounds.items()}
     able = [
         p
@@ -271,4 +268,6 @@ def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoP
         and all(p.searched[i] <= x * linear.searched[i] for i, x in limits.items())
         and all(p.held_out[i].value <= x * linear.held_out[i].value for i, x in limits.items())
     ]
+    if search.goals:
+        return min(able, key=lambda p: search.beyond(p.searched, linear.searched), default=None)
     return min(able, key=lambda p: p.searched, default=None)

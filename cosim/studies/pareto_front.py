@@ -31,10 +31,11 @@ class Search:
     """How the front is looked for.
 
     `objectives`: what to make small, the first above all; `tunables`: the numbers that are varied; `limits`: largest
-    values of objectives for the chosen point, relative to the LC's, by the objective's name, empty: 1 for every one but
-    the first. `goals`: values, as relative, to which the chosen point comes nearest instead, and towards which the search
-    goes on. `cases`: what points are run in besides the scenario as it stands. `reference`: what the LC of the comparison
-    has otherwise. `held_out`: draws that judge. `linear`: whether the LC's own front is looked for too.
+    values of objectives for the chosen point, relative to the LC's, by the objective's name, empty and without goals: 1 for
+    every one but the first. `goals`: values, as relative, to which the chosen point is the nearest within the limits, and
+    towards which the search goes on. `cases`: what points are run in besides the scenario as it stands. `reference`: what
+    the LC of the comparison has otherwise. `held_out`: draws that judge. `linear`: whether the LC's own front is looked
+    for too.
     """
 
     objectives: tuple[Objective, ...]
@@ -62,13 +63,11 @@ class Search:
         if self.goals and len(self.tunables) < 2:
             names = ", ".join(t.name for t in self.tunables)
             raise UserError(f"a search for goals needs two or more numbers to tune, found {names}")
-        if self.limits and self.goals:
-            raise UserError("the chosen point either keeps limits or comes nearest to goals, found both")
 
     @property
     def bounds(self) -> dict[str, float]:
         """The limits of the chosen point."""
-        return {} if self.goals else dict(self.limits) or {q.name: 1.0 for q in self.objectives[1:]}
+        return dict(self.limits) or ({} if self.goals else {q.name: 1.0 for q in self.objectives[1:]})
 
     @property
     def circumstances(self) -> tuple[Case, ...]:
@@ -207,9 +206,9 @@ class Front:
 
     def verdict(self) -> str:
         """Return in a sentence whether the LC gains, or the goals are met, with the numbers of the held-out draws."""
-        if self.search.goals:
-            return self._attained()
         first, *_ = self.search.objectives
+        if self.search.goals and self.chosen is not None:
+            return self._attained(self.chosen)
         within = " and ".join(
             f"{_symbol(self, name)} at most {x:g} times the LC's" for name, x in self.search.bounds.items()
         )
@@ -219,7 +218,8 @@ class Front:
                 for i, q in enumerate(self.search.objectives)
                 if self.of(FRONT)
             )
-            return f"the LC does not gain: no point of the front keeps {within}" + (
+            kept = f" keeps {within}" if within else ""
+            return f"the LC does not gain: no point of the front{kept or ' is left'}" + (
                 f"; the least of each alone, over the LC: {least}" if least else "; all that was found loses the plant"
             )
         changes = ", ".join(
@@ -237,16 +237,15 @@ class Front:
         count = self.linear.draws
         return f"in {count} draws that the search did not see" if self.random else "in the one run that there is"
 
-    def _attained(self) -> str:
-        """Return in a sentence whether the goals are met, each value over the LC's with its goal."""
-        if self.chosen is None:
-            return "the goals are out of sight: all that was found loses the plant"
-        rows = zip(self.search.objectives, self.chosen.held_out, self.linear.held_out, strict=True)
+    def _attained(self, chosen: ParetoPoint) -> str:
+        """Return in a sentence whether the goals are met, each value over the LC's with its goal or limit."""
+        rows = zip(self.search.objectives, chosen.held_out, self.linear.held_out, strict=True)
         said = []
         for q, value, base in rows:
-            ratio, goal = value.value / base.value, self.search.goals.get(q.name)
-            missed = "" if goal is None or ratio <= goal else ", missed"
-            said.append(f"{q.symbol} {ratio:.3g}" + ("" if goal is None else f" (goal {goal:.3g}{missed})"))
+            ratio, goal, limit = value.value / base.value, self.search.goals.get(q.name), self.search.bounds.get(q.name)
+            asked = [] if goal is None else [f"goal {goal:.3g}" + ("" if ratio <= goal else ", missed")]
+            asked += [] if limit is None else [f"limit {limit:.3g}"]
+            said.append(f"{q.symbol} {ratio:.3g}" + (f" ({', '.join(asked)})" if asked else ""))
         begin = "the goals are met" if self.met else "the goals are not met together; the nearest that was found"
         return f"{begin}: times the LC's, {self._drawn}: {'; '.join(said)}"
 

@@ -32,6 +32,8 @@ LEAST = 1e-300
 """Of what a logarithm is taken."""
 REACH = 4.0
 """Of an objective, times the LC's, and times its limit where that is above 1: the search does not go beyond."""
+BEYOND = 10.0
+"""Weight of what lies beyond a limit, in the search for goals."""
 ALL = 0.1
 """Weight of the mean of all goals beside the worst, in the search for them."""
 
@@ -129,10 +131,12 @@ class PointJudge:
     def towards_goals(self, logs: Array) -> float:
         """Return what the search for goals makes small: the logarithm of the largest ratio to a goal, and a little of all.
 
-        The little is so that what is not the worst is made small too.
+        The little is so that what is not the worst is made small too. What is beyond a limit counts BEYOND times.
         """
         linear = np.array([estimate.value for estimate in self.objectives(self.linear)])
         goals = np.array([self.search.goals.get(q.name, 1.0) for q in self.search.objectives])
         of_goal = np.array([q.name in self.search.goals for q in self.search.objectives])
-        excess = (logs - np.log(np.maximum(goals * linear, LEAST)))[of_goal]
-        return float(excess.max() + ALL * excess.mean())
+        excess = (logs - np.log(goals * linear))[of_goal]
+        limits = [math.log(self.search.bounds.get(q.name, math.inf)) for q in self.search.objectives]
+        beyond = np.maximum(logs - np.log(linear) - limits, 0.0).sum()
+        return float(excess.max() + ALL * excess.mean() + BEYOND * beyond)

@@ -172,10 +172,6 @@ def test_cases_are_given_by_entries_and_objectives_can_be_of_one():
             lambda: objectives_of(["settling", "rms@a"], QUANTITIES, [Case("a", rest=True)]),
             "the case of 'rms@a' must be given with --case, found 'a'",
         ),
-        (
-            lambda: Search(THREE, TUNABLES, {"energy": 1.0}, {"energy": 1.0}),
-            "the chosen point either keeps limits or comes nearest to goals, found both",
-        ),
         (lambda: Search(THREE, TUNABLES, goals={"energy": -1.0}), "the goal of energy must be positive and finite"),
         (
             lambda: Search(THREE, TUNABLES[:1], goals={"energy": 1.0}),
@@ -272,7 +268,15 @@ def test_with_goals_the_nearest_point_is_chosen_and_each_goal_is_said_to_be_met_
     assert lucky.verdict().startswith(
         "the goals are met: times the LC's, in 8 draws that the search did not see: settling"
     )
-    assert front(point(LOST, (0.5, 0.5, 0.5)), goals=GOALS).verdict().startswith("the goals are out of sight: all that")
+    limited = front(left, near, right, goals=GOALS, limits={"energy": 2.0})
+    assert limited.chosen is left
+    assert "∫V² dt 0.1 (limit 2); " in limited.verdict()
+    none = front(near, point(LOST, (0.5, 0.5, 0.5)), goals=GOALS, limits={"energy": 2.0}).verdict()
+    assert none.startswith(
+        "the LC does not gain: no point of the front keeps ∫V² dt at most 2 times the LC's; the least of "
+    )
+    lost = front(point(LOST, (0.5, 0.5, 0.5)), goals=GOALS).verdict()
+    assert lost == "the LC does not gain: no point of the front is left; all that was found loses the plant"
 
 
 def test_where_the_chosen_point_is_at_the_end_of_a_range_it_is_said():
