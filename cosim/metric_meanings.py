@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
-from .evaluation import NO_UNIT, SHARE, SWING_UP, Evaluation, pendulum_evaluation
+from .evaluation import SHARE, SWING_UP, Evaluation, pendulum_evaluation
+from .unit_definitions import shown_unit
 
 WINDOW = 3.0
 """The steady state is looked at over the last seconds of a run [s]."""
@@ -67,7 +68,8 @@ _WORDS = {"general": _Words(), "pendulum": _Words("integral_q2", "peak_voltage",
 
 def squared(unit: str) -> str:
     """Return the square of a unit, empty where there is none."""
-    return "" if unit == NO_UNIT else f"{unit}²" if unit.isalpha() else f"({unit})²"
+    shown = shown_unit(unit)
+    return f"{shown}²" if shown.isalpha() else f"({shown})²" if shown else ""
 
 
 @lru_cache(maxsize=64)
@@ -92,7 +94,7 @@ def _error_quantities(
     evaluation: Evaluation, words: _Words, suffix: str, group: tuple[int, ...], tolerance: float | None
 ) -> list[MetricMeaning]:
     unit = evaluation.error_unit(group)
-    shown = "" if unit == NO_UNIT else unit
+    shown = shown_unit(unit)
     e = f"|{words.norm}|" if not suffix else f"|{words.norm} {evaluation.errors[group[0]].name}|"
     of = f" {e}" if suffix else ""
     within = f"{100 * SHARE:g} % of its largest" if tolerance is None else f"{tolerance:g} {shown}".rstrip()
@@ -140,7 +142,7 @@ def _control_quantities(
     evaluation: Evaluation, words: _Words, suffix: str, group: tuple[int, ...]
 ) -> list[MetricMeaning]:
     unit = evaluation.controls[group[0]].unit
-    shown = "" if unit == NO_UNIT else unit
+    shown = shown_unit(unit)
     names = [evaluation.controls[k].name for k in group]
     pendulum = evaluation.kind == "pendulum"
     one = "V" if pendulum else names[0] if len(group) == 1 else "u"

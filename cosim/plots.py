@@ -22,6 +22,7 @@ from ihc_fmu.pendulum.interface import LAWS
 from .evaluation import NO_UNIT, ControlSignal, ErrorSignal, Evaluation, pendulum_evaluation
 from .judged_signals import error_norm, evaluation_in, given, set_point, wrapped
 from .recording import Recording
+from .unit_definitions import with_unit
 
 
 class Picture(Figure):
@@ -54,7 +55,7 @@ OTHER_MODES = ("#d0d1e6", "#fcc5c0", "#ccebc5", "#ffffb3")
 
 def label(signal: ErrorSignal | ControlSignal) -> str:
     """Return what stands beside an axis: the name with the unit."""
-    return literal(signal.name) + ("" if signal.unit == NO_UNIT else f" [{literal(signal.unit)}]")
+    return literal(with_unit(signal.name, signal.unit))
 
 
 def literal(text: str) -> str:
@@ -72,7 +73,7 @@ def norm_name(evaluation: Evaluation, suffix: str) -> tuple[str, str]:
 def norm_label(evaluation: Evaluation, suffix: str) -> str:
     """Return what stands beside the axis of a group's |e|."""
     name, unit = norm_name(evaluation, suffix)
-    return literal(name + ("" if unit == NO_UNIT else f" [{unit}]"))
+    return literal(with_unit(name, unit))
 
 
 _PENDULUM = pendulum_evaluation({})
@@ -333,8 +334,8 @@ def _controls(results: Mapping[str, Recording], evaluation: Evaluation) -> Figur
     for axis, (law, result, control) in zip(axes, pairs, strict=True):
         _shade_modes(axis, result)
         axis.plot(result.time, result[control.signal], color=shades[law], lw=0.7, drawstyle="steps-pre")
-        unit = "" if control.unit == NO_UNIT else f" [{literal(control.unit)}]"
-        axis.set_ylabel(f"{law}{unit}" if evaluation.kind == "pendulum" else f"{law}\n{label(control)}")
+        named = literal(with_unit(law, control.unit)) if evaluation.kind == "pendulum" else f"{law}\n{label(control)}"
+        axis.set_ylabel(named)
         axis.grid(alpha=0.3)
     count = len(evaluation.controls)
     for i in range(count):

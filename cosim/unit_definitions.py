@@ -22,6 +22,21 @@ NO_UNIT = "1"
 BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 
 
+_POWER = re.compile(r"(?<=[^\W\d_])\^?(-?\d+)")
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def shown_unit(unit: str) -> str:
+    """Return a unit as tables and pictures show it, such as V² s for V2.s; empty where there is none."""
+    return "" if unit == NO_UNIT else _POWER.sub(lambda power: power[1].translate(_RAISED), unit).replace(".", " ")
+
+
+def with_unit(name: str, unit: str) -> str:
+    """Return what stands beside an axis or above a column: the name, and the unit where there is one."""
+    shown = shown_unit(unit)
+    return f"{name} [{shown}]" if shown else name
+
+
 def declared_unit(variable: ScalarVariable) -> str | None:
     """Return the unit that a variable or its type declares; None where neither does."""
     unit = variable.unit if variable.unit is not None else getattr(variable.declaredType, "unit", None)

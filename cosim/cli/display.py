@@ -297,6 +297,7 @@ def print_front(front: Front) -> None:
     """Print the LC, where the paper's rule stopped and the front, in the draws held out, and whether the LC gains."""
     from ..studies.estimates import change_text
     from ..studies.pareto_front import DOMINATED, FRONT, LC, LOST, RULE
+    from ..unit_definitions import shown_unit
 
     objectives = front.search.objectives
     drawn = f", {front.linear.draws} draws that the search did not see; change over the LC" if front.random else ""
@@ -320,7 +321,7 @@ def print_front(front: Front) -> None:
     if beaten or lost:
         console.print(f"found by the search, but not of the front in these draws: {beaten} beaten, {lost} infeasible")
     if front.chosen is not None:
-        units = {t.name: t.unit for t in front.search.tunables}
+        units = {t.name: shown_unit(t.unit) for t in front.search.tunables}
         values = (f"{name} {value:g} {units[name]}".rstrip() for name, value in front.chosen.values.items())
         console.print(escaped(f"chosen: {', '.join(values)}"))
     if ends := front.at_ends():

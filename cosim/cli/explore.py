@@ -30,18 +30,20 @@ def explore(
         if (error.name or "").partition(".")[0] in ("fastapi", "nicegui", "uvicorn"):
             raise UserError('explore needs NiceGUI: pip install "qube-ihc[explore]"') from None
         raise
-    from .. import ssp
     from ..explore.exploration import Exploration
     from ..remarks import remarks_before
     from ..scenario import load_located
     from ..scenario_system import build_system
 
     with listening(port) as place:
-        loaded, folder, fmus = load_located(scenario, fmus)
+        loaded, folder, place_of_fmus = load_located(scenario, fmus)
         loaded = loaded.changed(dict(assignments(change)))
-        say_notes(remarks_before(build_system(loaded, fmus, folder), loaded))
+        say_notes(remarks_before(build_system(loaded, place_of_fmus, folder), loaded))
+        arguments = [scenario, *(["--fmus", str(fmus)] if fmus != Path("fmus") else [])]
+        arguments += [part for one in change or [] for part in ("--set", one)]
         with problems.status("running the scenario"):
-            exploration = Exploration(loaded, folder, fmus, unpacked=Path(scenario).suffix == ssp.SUFFIX)
+            exploration = Exploration(loaded, folder, place_of_fmus, arguments)
+            exploration.warm()
         serve(
             exploration,
             place,

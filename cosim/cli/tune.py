@@ -185,7 +185,7 @@ def tune(
         place = loaded_scenario, fmus, folder
         cases = cases_of(_entries("--case", case, *place), _entries("--hold", hold, *place))
         found = objectives_of(pareto.split(","), problem.quantities, cases)
-        numbers = TunedController(problem, known).tunables(ranges_over(over or []), gain)
+        numbers = TunedController(loaded_scenario, fmus, folder, known).tunables(ranges_over(over or []), gain)
         factors = factors_of("--limit", limit or [], found), factors_of("--goal", goal or [], found)
         other = dict(_entries("--reference", reference, *place))
         search = Search(found, tuple(numbers), *factors, cases, other, linear=linear, **sizes)
@@ -228,7 +228,7 @@ def _look_for_the_front(
     from ..studies.pareto_files import WRITTEN_FILES, save
     from ..studies.tunables import TunedController
 
-    controller = TunedController(problem, design)
+    controller = TunedController(problem.scenario, problem.fmus, problem.folder, design)
     with Journal(target / "runs.sqlite", PURPOSE) as journal, staged_progress() as report:
         front = pareto(problem, search, controller, grid, journal, workers, report, console.print)
     paths = save(front, problem, target)

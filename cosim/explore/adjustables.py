@@ -4,35 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from fmpy.model_description import ScalarVariable
 
-from fmu_export.errors import UserError
+from fmu_export.errors import UserError, shown
 from fmu_export.files import FilePath
-from ihc_fmu.design import Design
 from ihc_fmu.pendulum.kalman import KalmanOptions
 
 from .. import wiring
-from ..certified import is_pendulums
 from ..fmu import Instance
 from ..fmu_files import describe, start_values_of
-from ..pendulum import is_controller
 from ..plant_variables import state_pairs
 from ..scenario import Scenario
+from ..scenario_files import files
 from ..scenario_system import build_system, controller_design
 from ..start_values import StartValue, not_settable
 from ..structure import SystemStructure
-from ..unit_definitions import NO_UNIT, unit_of
+from ..studies.ranges import Range
+from ..studies.tunables import (
+    A_MIN,
+    ALPHA,
+    B_MAX,
+    GAINS,
+    MU,
+    MUS,
+    NOISES,
+    RATES,
+    SCALES,
+    SPREAD,
+    U_MAX,
+    Tunable,
+    TunedController,
+    around,
+)
+from ..unit_definitions import NO_UNIT, unit_of, with_unit
 from ..wiring import CONTROLLER, PLANT
-
-MU, SCALE = "design.mu", "design.u_max"
-"""What is no entry of a scenario: of the pendulum's design, mu and the scale of P as the largest |k x| on the unit ball."""
-NOISES = {"voltage_noise": "V2.s", "disturbance_noise": "V2/s", "bias_noise": "rad2/s"}
-"""Nor are the noises that decide the gain of the pendulum's Kalman filter, fields of `KalmanOptions`, by their units."""
-KALMAN = "kalman."
-"""How their entries begin."""
 
 HUGE = 1e100
 """From here on a number stands for none, as the limit of an input that has no limit, and has no slider."""
@@ -40,8 +48,10 @@ HUGE = 1e100
 STEPS = 200
 """Of a slider, about."""
 
-RANGES = {"a_min": (0.05, 1.0), "b_max": (1.0, 4.0), "mu": (0.1, 1.0)}
+RANGES = {"a_min": A_MIN, "b_max": B_MAX}
 """Of the law's own parameters, where their values lie in them."""
+FIRST = ("a_min", "b_max", MU)
+"""What comes first on the page, in this order."""
 REST = ("law", "enabled")
 """Parameters of a controller that are not set: the laws stand side by side, and a controller that is off is none."""
 ESTIMATOR = ("velocity_source", "velocity_filter_cutoff", "observer_acceleration_noise", "compensate_disturbance")
@@ -52,7 +62,10 @@ EXTENT = {"rad": 0.5, "rad/s": 5.0, "m": 0.5, "m/s": 2.0}
 
 @dataclass(frozen=True)
 class Slider:
-    """A number: the entry of the scenario, its name, unit and meaning, the value in force, the slider's range and step."""
+    """A number: the entry of the scenario, its name, unit and meaning, the value in force, the slider's range and step.
+
+    `logarithmic`: it is moved by the logarithm, in steps of its own.
+    """
 
     entry: str
     name: str
@@ -63,14 +76,17 @@ class Slider:
     high: float
     step: float
     whole: bool = False
+    logarithmic: bool = False
 
     @property
     def label(self) -> str:
         """The name with its unit."""
-        return self.name if self.unit == NO_UNIT else f"{self.name} [{self.unit}]"
+        return with_unit(self.name, self.unit)
 
-    def number(self, value: float) -> float | int:
-        """Return a value as the scenario has it: without what binary fractions add to it."""
+    def taken(self, value: Any) -> float | int:
+        """Return a value as the scenario has it: without what binary fractions add to it; UserError for no finite number."""
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < HUGE:
+            raise UserError(f"{self.name} must be a finite number, found {shown(value)}")
         return round(value) if self.whole else float(f"{value:.12g}")
 
 
@@ -83,6 +99,12 @@ class Choice:
     meaning: str
     value: Any
     items: Mapping[Any, str]
+
+    def taken(self, value: Any) -> Any:
+        """Return a value; UserError for one that is none of the items."""
+        if not isinstance(value, bool | int | str) or value not in self.items:
+            raise UserError(f"{self.name} must be one of {', '.join(self.items.values())}, found {shown(value)}")
+        return value
 
 
 Adjustable = Slider | Choice
@@ -97,20 +119,39 @@ class Group:
     folded: bool = False
 
 
+def decided(name: str) -> str:
+    """Return the entry, on the page and none of a scenario, of a number that decides several start values, such as mu."""
+    return f"{CONTROLLER}.{name}"
+
+
+def controller_of(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> TunedController | None:
+    """Return the scenario's controller, whose design and filter can be set; None where there is none.
+
+    Raises as `build_system`.
+    """
+    if CONTROLLER not in files(scenario, fmus, folder).fmus:
+        return None
+    design, uncovered = controller_design(build_system(scenario, fmus, folder), scenario, folder)
+    return TunedController(scenario, fmus, folder, None if uncovered else design)
+
+
 def groups_of(
-    scenario: Scenario, fmus: FilePath, folder: FilePath | None, design: Design | None, peak: float
+    scenario: Scenario, fmus: FilePath, folder: FilePath | None, controller: TunedController | None, peak: float
 ) -> list[Group]:
     """Return what can be set in a scenario, in the order of the page; groups without members are left out.
 
-    `design` is the pendulum's whose mu and scale of P are to be set, None: they stay; `peak` is the largest control of a
-    run, which a disturbance is held against. Raises as `build_system`.
+    `controller` is the scenario's, see `controller_of`; `peak` is the largest control of a run, which a disturbance is held
+    against. Raises as `build_system`.
     """
     system = build_system(scenario, fmus, folder)
     paths = {component.name: component.path for component in system.components}
     values = {c.name: {**start_values_of(c.path), **c.start} for c in system.components}
     of_controller = list(_parameters(CONTROLLER, system, values))
-    law = Group("controller", _design_sliders(design))
-    estimator, further = Group("estimator", _noise_sliders(values)), Group("controller, further", folded=True)
+    law, gain = (
+        Group("controller", _design_sliders(controller)),
+        Group("gain K, rate alpha", _gain_sliders(controller), folded=True),
+    )
+    estimator, further = Group("estimator", _noise_sliders(controller)), Group("controller, further", folded=True)
     for variable, member in of_controller:
         name = variable.name
         told = name in scenario.controller.start
@@ -118,14 +159,14 @@ def groups_of(
             continue
         place = estimator if name in ESTIMATOR else law if told or name in RANGES else further
         place.members.append(member)
-    law.members.sort(key=lambda m: list(RANGES).index(m.name) if m.name in RANGES else len(RANGES))
+    law.members.sort(key=lambda m: FIRST.index(m.name) if m.name in FIRST else len(FIRST))
     initial, plant = Group("initial state"), Group("plant, further", folded=True)
     states = _initial(paths)
     for variable, member in _parameters(PLANT, system, values, states):
         told = variable.name in states or variable.name in scenario.plant.start
         (initial if told else plant).members.append(member)
     groups = [law, estimator, initial, _disturbance(scenario, system, peak), _signals(scenario), _run(scenario)]
-    return [group for group in (*groups, further, plant) if group.members]
+    return [group for group in (*groups, gain, further, plant) if group.members]
 
 
 def with_disturbance(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> Scenario:
@@ -207,18 +248,18 @@ def slider(
         end = min(end, math.pi) if unit == "rad" and abs(value) <= math.pi else end
         begin = -end
     elif name in RANGES:
-        begin, end = RANGES[name]
+        begin, end = RANGES[name].low, RANGES[name].high
     elif high - low <= 100.0 * abs(value):
         begin, end = low, high
     else:
         begin, end = sorted((0.0, 2.0 * value)) if value else (max(low, -1.0), 1.0)
     begin, end = max(min(begin, value), low), min(max(end, value), high)
-    step = _step(end - begin, whole)
+    step = step_of(end - begin, whole)
     begin, end = step * math.ceil(begin / step - 1e-9), step * math.floor(end / step + 1e-9)
     return Slider(entry, name, unit, meaning, value, float(f"{begin:.9g}"), float(f"{end:.9g}"), step, whole)
 
 
-def _step(width: float, whole: bool) -> float:
+def step_of(width: float, whole: bool = False) -> float:
     """Return 1, 2 or 5 times a power of ten, of which about STEPS make up a width."""
     if width <= 0.0:
         return 1.0
@@ -227,33 +268,49 @@ def _step(width: float, whole: bool) -> float:
     return max(1.0, round(step)) if whole else float(f"{step:.3g}")
 
 
-def pendulum_design(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> Design | None:
-    """Return the design whose mu and scale of P can be set: the pendulum's, unchanged by the scenario; else None."""
-    design, uncovered = controller_design(build_system(scenario, fmus, folder), scenario, folder)
-    if design is None or uncovered or not is_pendulums(design) or design.psi or design.d_max:
-        return None
-    return design
-
-
-def _design_sliders(design: Design | None) -> list[Adjustable]:
-    if design is None:
+def _design_sliders(controller: TunedController | None) -> list[Adjustable]:
+    """Return mu and the scale of P, where the design is known and can be solved anew."""
+    if controller is None or not controller.redesigned:
         return []
-    scale = float(f"{design.u_max[0]:.6g}")
+    largest = "largest |(K - K_0) x| of the first input on the unit ball"
+    scale = _tuned(controller, U_MAX, around(controller.start[U_MAX], SCALES), largest)
     return [
-        slider(MU, "mu", NO_UNIT, "minus the degree of homogeneity; the design is solved anew", design.mu),
-        slider(SCALE, "scale of P", "V", "largest |k x| on the unit ball", scale, (1e-3, math.inf), span=(0.5, 10.0)),
+        _tuned(controller, MU, MUS, "minus the degree of homogeneity; the design is solved anew"),
+        replace(scale, name="scale of P"),
     ]
 
 
-def _noise_sliders(values: Mapping[str, Mapping[str, Any]]) -> list[Adjustable]:
-    if not is_controller(values.get(CONTROLLER, {})):
+def _gain_sliders(controller: TunedController | None) -> list[Adjustable]:
+    """Return the entries of K and the rate of decay, where a design can be solved for others."""
+    if controller is None or not controller.redesigned:
         return []
-    usual, meaning = KalmanOptions(), "noise that the Kalman filter assumes; its gain is computed anew"
-    noises = ((name, unit, getattr(usual, name)) for name, unit in NOISES.items())
+    meaning = "entry of the LC's gain; the design is solved anew"
+    values = {name: controller.start[name] for name in controller.gains}
+    rate = _tuned(
+        controller, ALPHA, around(controller.start[ALPHA], RATES), "rate of decay that the design is to prove"
+    )
     return [
-        slider(KALMAN + name, name, unit, meaning, value, (0.05 * value, math.inf), span=(0.0, 10.0 * value))
-        for name, unit, value in noises
+        *(_tuned(controller, n, around(v, GAINS) if v else Range(-1.0, 1.0), meaning) for n, v in values.items()),
+        rate,
     ]
+
+
+def _noise_sliders(controller: TunedController | None) -> list[Adjustable]:
+    """Return the noises of the pendulum's Kalman filter, also where it is not used at first."""
+    if controller is None or not controller.pendulum:
+        return []
+    meaning = "noise that the Kalman filter assumes; its gain is computed anew"
+    return [_tuned(controller, n, around(getattr(KalmanOptions(), n), SPREAD), meaning) for n in NOISES]
+
+
+def _tuned(controller: TunedController, name: str, limits: Range, meaning: str) -> Slider:
+    """Return the slider of a number that decides start values."""
+    value = controller.start[name] if name in controller.start else getattr(KalmanOptions(), name)
+    span = min(limits.low, value), max(limits.high, value)
+    made = slider(decided(name), name, controller.unit(name), meaning, float(f"{value:.6g}"), span=span)
+    if not Tunable(name, limits).logarithmic:
+        return made
+    return replace(made, low=span[0], high=span[1], logarithmic=True)
 
 
 def _initial(paths: Mapping[str, Any]) -> tuple[str, ...]:

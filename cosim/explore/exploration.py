@@ -3,27 +3,23 @@
 from __future__ import annotations
 
 import math
+import shlex
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from filing.files import staging, write_file
 from fmu_export.errors import UserError
-from ihc_fmu.design import Design
-from ihc_fmu.inverse import inverse_design
-from ihc_fmu.options import Options
-from ihc_fmu.pendulum.kalman import KalmanOptions
-from ihc_fmu.pendulum.start_values import design_values, kalman_values
 
-from .. import parameter_files
 from ..fmu import FmuError
-from ..fmu_files import start_values_of
 from ..judged_signals import evaluation_in, kept_upright, overflow
-from ..metric_meanings import MetricMeaning, is_pendulum
+from ..metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities_of
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
 from ..names import is_plain
 from ..prepared import Prepared
@@ -31,19 +27,25 @@ from ..report.charts import Plots
 from ..results import Result, SimulationError
 from ..rig import Progress
 from ..scenario import Scenario
-from ..scenario_files import files
+from ..scenario_files import portable
 from ..scenario_run import run_scenario, with_tolerances
-from ..scenario_system import build_system
+from ..scenario_system import evaluation
 from ..studies.estimates import MeanEstimate, change_text
 from ..studies.experiments import LAW, check_outputs, laws_of
+from ..studies.tunables import MU, Setting
 from ..tables import side_by_side
 from ..wiring import CONTROLLER
-from .adjustables import KALMAN, MU, SCALE, groups_of, pendulum_design, with_disturbance
+from .adjustables import Adjustable, controller_of, decided, groups_of, with_disturbance
+from .maps import commands_of
 
 MOST_ROWS = 1200
 """Of a curve: two for each of some hundred columns of pixels, the smallest and the largest value in them."""
 
 START = f"{CONTROLLER}.start."
+
+SEED = "run.seed"
+NEAR = 0.99
+"""Of the mu that is solved for first, times the design's."""
 
 FMUS = Path("fmus")
 """Where `run` looks for FMUs unless it is told another folder."""
@@ -64,41 +66,53 @@ class NotWantedError(Exception):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the page shows: what its script draws, the table of metrics, sentences, and how long the runs took [s]."""
+    """What the page shows: what its script draws, the table, sentences; each law's metrics, the time of the runs [s]."""
 
     drawn: Mapping[str, Any]
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
     notes: Sequence[str]
+    metrics: Mapping[str, Mapping[str, float]]
     seconds: float
 
 
-class Exploration:
-    """A scenario with its FMUs, and the values that are set on the page; the same for all pages of a server.
+@dataclass
+class Wanted:
+    """What is set on a page: values by their entries, and the laws that are shown."""
 
-    `unpacked`: the FMUs are an SSP file's, and do not outlast this process. Raises UserError for a scenario that cannot be
-    run or judged.
+    laws: list[str]
+    values: dict[str, Any] = field(default_factory=dict)
+
+    def copy(self) -> Wanted:
+        """Return the same, which stays when this is changed."""
+        return Wanted([*self.laws], {**self.values})
+
+
+class Exploration:
+    """A scenario with its FMUs, and what can be set of it; for all pages of a server, each of which wants its own.
+
+    `last`: what was set last on any of them, with which another page begins. `arguments`: by which commands find the
+    scenario and its FMUs. Raises UserError for a scenario that cannot be run or judged.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, fmus: Path, *, unpacked: bool = False) -> None:
-        self.folder, self.fmus, self.unpacked = folder, fmus, unpacked
+    def __init__(self, scenario: Scenario, folder: Path, fmus: Path, arguments: Sequence[str] = ()) -> None:
+        self.folder, self.fmus = folder, fmus
         check_outputs(scenario, fmus, folder)
         self.laws = _laws(scenario, fmus, folder)
-        self.shown = [law for law in self.laws if law in USUAL] or self.laws[:2]
-        self.design = pendulum_design(scenario, fmus, folder)
+        self.last = Wanted([law for law in self.laws if law in USUAL] or self.laws[:2])
+        self.controller = controller_of(scenario, fmus, folder)
         self.base = with_disturbance(with_tolerances(scenario, fmus, folder), fmus, folder)
-        self.values: dict[str, Any] = {}
-        components = build_system(self.base, fmus, folder).components
-        started = (c for c in components if c.name == CONTROLLER)
-        self._controller = next(({**start_values_of(c.path), **c.start} for c in started), {})
         self._closed, self._busy = threading.Event(), threading.Lock()
         self._prepared = {law: Prepared(_with_law(self.base, law), fmus, folder) for law in self.laws}
-        self._designs: dict[float, Design] = {}
-        peak, self._slow = self._first_run()
+        peak, self.slow = self._first_run()
         self._pool = ThreadPoolExecutor(
-            1 if self._slow else len(self.laws)
+            1 if self.slow else len(self.laws)
         )  # Python runs one at a time, two in turns slower
-        self.groups = groups_of(self.base, fmus, folder, self.design, peak)
+        self.groups = groups_of(self.base, fmus, folder, self.controller, peak)
+        self.members: dict[str, Adjustable] = {m.entry: m for group in self.groups for m in group.members}
+        judged = evaluation(self.base, fmus, folder)
+        self.quantities = QUANTITIES if judged is None else quantities_of(judged)
+        self.commands = commands_of(self.groups, self.quantities, self.laws, arguments)
 
     def _first_run(self) -> tuple[float, bool]:
         """Return the largest control of a run as the scenario stands, 0 where that fails; and whether Python runs it."""
@@ -110,42 +124,42 @@ class Exploration:
         peaks = [metrics.values[q.name] for q in metrics.quantities.values() if q.role == "peak"]
         return next((peak for peak in peaks if math.isfinite(peak)), 0.0), result.metadata["engine"] == "fmpy"
 
+    def warm(self) -> None:
+        """Solve a design, where that can be: what it needs is loaded then, so that the first one on a page is not late."""
+        if self.controller is not None and self.controller.redesigned:
+            with suppress(UserError):  # another mu need not have a proof
+                self.controller.setting({MU: NEAR * self.controller.start[MU]})
+
     def end(self) -> None:
         """Let what runs end soon; nothing is run any more."""
         self._closed.set()
 
-    def scenario(self) -> tuple[Scenario, Design | None]:
-        """Return the scenario as it is set, and the design that its controller then has where that is not its own."""
-        scenario = self.base.changed(self._entries())
-        mu, scale = (self.values.get(name) for name in (MU, SCALE))
-        if self.design is None or (mu is None and scale is None):
-            return scenario, None
-        solved = self.design if mu is None else self._solved(mu)
-        return scenario, solved.scaled_to(u_max=float(self.design.u_max[0]) if scale is None else scale)
+    def changes(self, values: Mapping[str, Any]) -> tuple[dict[str, Any], Setting | None]:
+        """Return values as changes of the scenario, and what those that are no entries of it make of the controller.
 
-    def _entries(self) -> dict[str, Any]:
-        """Return the entries of the scenario that are set, noises by the Kalman filter's gain; without a design's."""
-        noises = {name.removeprefix(KALMAN): v for name, v in self.values.items() if name.startswith(KALMAN)}
-        entries = {
-            name: v for name, v in self.values.items() if name not in (MU, SCALE) and not name.startswith(KALMAN)
-        }
-        if not noises:
-            return entries
-        own = {name.removeprefix(START): value for name, value in entries.items() if name.startswith(START)}
-        known = {**self._controller, **own}
-        nominal = {name: value for name, value in known.items() if name.startswith("nominal_")}
-        gain = kalman_values(nominal, float(known["sample_time"]), KalmanOptions(**noises))
-        return {f"{START}{name}": value for name, value in gain.items()} | entries
+        Of what a design decides, the start values that the scenario or the page gives stay. Raises UserError where no design
+        is proven.
+        """
+        entries = {name: value for name, value in values.items() if name not in self._decided}
+        if SEED in entries:  # a run takes it unchecked
+            self.base.changed({SEED: entries[SEED]})
+        chosen = {name: values[entry] for entry, name in self._decided.items() if entry in values}
+        if self.controller is None or not chosen:
+            return entries, None
+        own = {name.removeprefix(START): v for name, v in entries.items() if name.startswith(START)}
+        numbers = {name: float(v) for name, v in own.items() if isinstance(v, int | float)}
+        setting = self.controller.setting({**numbers, **chosen})
+        kept = {f"{START}{name}" for name in self.base.controller.start} - setting.plain.keys()
+        return {name: v for name, v in setting.changes.items() if name not in kept} | entries, setting
 
-    def _solved(self, mu: float) -> Design:
-        """Return the design with another mu, for the same linear controller and decay."""
-        if mu not in self._designs:
-            assert self.design is not None
-            self._designs[mu] = inverse_design(self.design.system, Options(mu=mu, alpha=self.design.alpha, u_max=1.0))
-        return self._designs[mu]
+    @cached_property
+    def _decided(self) -> dict[str, str]:
+        """The names of the numbers on the page that decide start values, by their entries."""
+        names = (m.entry.rpartition(".")[2] for m in self.members.values())
+        return {decided(name): name for name in names if decided(name) in self.members}
 
-    def outcome(self, wanted: Callable[[], bool]) -> Outcome:
-        """Run the scenario as it is set with each law that is shown; return what there is to see.
+    def outcome(self, asked: Wanted, wanted: Callable[[], bool]) -> Outcome:
+        """Run the scenario with each law and the values that are asked for; return what there is to see.
 
         Raises UserError, SimulationError and FmuError as a run, and NotWantedError soon after `wanted` says no.
         """
@@ -157,17 +171,9 @@ class Exploration:
                 if late or self._closed.is_set():
                     raise NotWantedError
 
-            results = self._run(self.shown, self._changes(), progress)
-            return _seen(results, time.monotonic() - begin, self._slow)
-
-    def _changes(self) -> dict[str, Any]:
-        """Return what is set as changes of the scenario, a design by the start values that it decides."""
-        scenario, design = self.scenario()
-        if design is None:
-            return self._entries()
-        own = scenario.controller.start
-        start = {**design_values(design, None, float({**self._controller, **own}["voltage_limit"])), **own}
-        return {f"{START}{name}": value for name, value in start.items()} | self._entries()
+            changes, _ = self.changes(asked.values)
+            results = self._run(asked.laws, changes, progress)
+            return _seen(results, time.monotonic() - begin, self.slow)
 
     def _run(self, laws: Sequence[str], changes: Mapping[str, Any], progress: Progress) -> dict[str, Result]:
         """Run the laws, at the same time where C runs them; return their results, or raise what the first one raises."""
@@ -175,33 +181,32 @@ class Exploration:
         wait(running.values())
         return {law or self.base.name: _named(future.result(), law) for law, future in running.items()}
 
-    def write(self, name: str, folder: Path = Path()) -> str:
-        """Write the scenario as it is set to the folder, with what lies beside it; return in a sentence how it is run.
+    def write(self, name: str, values: Mapping[str, Any], folder: Path = Path()) -> str:
+        """Write the scenario with values to the folder, with what lies beside it; return in a sentence how it is run.
 
         Raises UserError for a name that is none of a file's, and for files that must stay.
         """
         stem = name.strip().removesuffix(".toml")
         if not is_plain(stem):
             raise UserError(f"the name must be a plain one of a file (no path, not empty), found {name!r}")
-        scenario, design = self.scenario()
-        used = files(scenario, self.fmus, self.folder)
-        fmus = [path for path in used.fmus.values() if self.unpacked or path.parent.absolute() != self.fmus.absolute()]
-        parameters = parameter_files.file_of(scenario.plant.parameters, self.folder)
-        beside = {*fmus, *used.tables.values(), parameters, used.design if design is None else None} - {None}
+        changes, setting = self.changes(values)
+        own = None if self.controller is None else self.controller.design
+        design = None if setting is None or setting.design is own else setting.design
+        named = self.controller is not None and self.controller.pendulum and design is not None
+        if named and setting is not None:  # the pendulum's controller takes the rest from the design's file
+            changes = {**setting.plain, **{entry: v for entry, v in values.items() if entry not in self._decided}}
+            changes["controller.design"] = None
+        moved, beside = portable(self.base.changed(changes), self.fmus, self.folder)
         with staging(folder) as place:
-            for path in beside:
-                _copy(path, folder / path.name, place / path.name)
+            for file, path in beside.items():
+                _copy(path, folder / file, place / file)
             if design is not None:
                 design.save(place / f"{stem}.json")
-                scenario = scenario.changed({"controller.design": f"{stem}.json"})
+            scenario = moved.changed({"controller.design": f"{stem}.json"}) if named else moved
             write_file(place / f"{stem}.toml", scenario.to_toml())
-        elsewhere = "" if len(fmus) == len(used.fmus) or self.fmus == FMUS else f" --fmus {self.fmus}"
-        return f"wrote {(folder / stem).absolute()}.toml; it runs by: qube-ihc run {stem}.toml{elsewhere}"
-
-
-def pictures_of(scenario: Scenario, results: Path = Path("results")) -> list[Path]:
-    """Return the pictures of the scenario's maps and tunings that lie in the results."""
-    return [path for kind in ("region", "tune") for path in sorted((results / f"{kind}_{scenario.name}").glob("*.png"))]
+        alone = all(part.fmu in beside for part in scenario.parts.values())
+        elsewhere = "" if alone or self.fmus == FMUS else f" --fmus {shlex.quote(str(self.fmus))}"
+        return f"wrote {(folder / stem).absolute()}.toml; it runs by: qube-ihc run {shlex.quote(f'{stem}.toml')}{elsewhere}"
 
 
 def _laws(scenario: Scenario, fmus: Path, folder: Path) -> list[str]:
@@ -242,7 +247,8 @@ def _seen(results: Mapping[str, Result], seconds: float, slow: bool) -> Outcome:
     if slow:
         notes.append("an FMU in Python, or for model exchange, answers slowly")
     headings = ["", *results, *(f"{law} over {base}" for law in others)]
-    return Outcome(drawn, headings, rows, [*notes, f"computed in {1e3 * seconds:.0f} ms"], seconds)
+    notes.append(f"computed in {1e3 * seconds:.0f} ms")
+    return Outcome(drawn, headings, rows, notes, {law: m.values for law, m in metrics.items()}, seconds)
 
 
 def _change(metrics: Metrics, base: Metrics, q: MetricMeaning) -> str:

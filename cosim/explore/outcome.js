@@ -36,6 +36,10 @@ export default {
     say(text) {
       this.part(".note").textContent = text;
     },
+    wait() {
+      this.say("computing …");
+      this.keep();
+    },
     keep() { // what is seen is not of what is set
       this.$el.classList.add("earlier");
     },

@@ -25,6 +25,7 @@ from ..plots import (
     norm_name,
 )
 from ..recording import Recording
+from ..unit_definitions import shown_unit, with_unit
 
 Array = np.ndarray
 
@@ -71,7 +72,7 @@ class Chart:
     @property
     def label(self) -> str:
         """What stands beside the axis."""
-        return self.title if self.unit == NO_UNIT else f"{self.title} [{self.unit}]"
+        return with_unit(self.title, self.unit)
 
 
 @dataclass(eq=False)
@@ -161,7 +162,7 @@ class Plots:
 
     def text(self, chart: Chart) -> str:
         """Return in words what a plot shows."""
-        unit = "" if chart.unit == NO_UNIT else f" {chart.unit}"
+        unit = f" {shown_unit(chart.unit)}".rstrip()
         axis = ", logarithmic," if chart.floor else ""
         said = [f"{chart.label}{axis} over time"]
         for curve in chart.curves:

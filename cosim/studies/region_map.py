@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..evaluation import NO_UNIT
 from ..metric_meanings import MetricMeaning, squared
 from ..scenario import Scenario
+from ..unit_definitions import shown_unit, with_unit
 from .certified_section import Certified
 from .numbers import Numbers
 from .ranges import Range
@@ -46,7 +46,7 @@ class Axis:
     @property
     def label(self) -> str:
         """The name as it was given, with the unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+        return with_unit(self.name, self.unit)
 
     def value(self, number: int, finest: int) -> float:
         """Return the value at a point of a lattice of `finest` cells."""
@@ -224,9 +224,9 @@ class Region:
     @property
     def unit(self) -> str:
         """The unit of an area, or of a length."""
-        units = [axis.unit for axis in self.axes]
+        units = [shown_unit(axis.unit) for axis in self.axes]
         if len(set(units)) < len(units):
-            return squared(units[0] or NO_UNIT) or "1"
+            return squared(self.axes[0].unit) or "1"
         return " · ".join(f"({unit})" if "/" in unit and len(units) > 1 else unit or "1" for unit in units)
 
     def at(self, point: Point) -> tuple[float, ...]:
@@ -264,7 +264,7 @@ class Region:
         over = " and ".join(axis.name for axis in self.axes)
         title = f"{self.scenario.name}: attracted over {over}{drawn}"
         if len(self.axes) == 1:
-            unit = self.axes[0].unit
+            unit = shown_unit(self.axes[0].unit)
             heads = ["", *(f"{what} [{unit}]" if unit else what for what in ("down to", "up to", "radius")), "runs"]
             return title, heads, [[law, *self._ends(law), str(len(self.laws[law].runs))] for law in self.laws]
         heads = ["", f"area [{self.unit}]", f"over {self._any.law} (bounds)", "runs (of the full grid)"]
@@ -334,7 +334,7 @@ class Region:
         if section is None:
             return [f"no certified ball is drawn: {self.certified.why_not}"]
         extent = ", ".join(
-            f"{axis.name} {_around(c, e)}{f' {axis.unit}' if axis.unit else ''}"
+            f"{axis.name} {_around(c, e)} {shown_unit(axis.unit)}".rstrip()
             for axis, c, e in zip(self.axes, section.centre, section.extent, strict=True)
         )
         limits = (
@@ -368,7 +368,7 @@ class Region:
 
 
 def _sized(axis: Axis, cells: int) -> str:
-    return f"{axis.range.width / cells:.3g}{f' {axis.unit}' if axis.unit else ''}"
+    return f"{axis.range.width / cells:.3g} {shown_unit(axis.unit)}".rstrip()
 
 
 def _around(centre: float, extent: float) -> str:

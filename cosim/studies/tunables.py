@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from fmu_export.errors import UserError
+from fmu_export.files import FilePath
 from fmu_export.variables import Value, did_you_mean
 from ihc_fmu.design import Design
 from ihc_fmu.inverse import inverse_design
@@ -25,16 +26,18 @@ from ihc_fmu.pendulum.start_values import kalman_values
 from ..certified import certified_names
 from ..fmu_files import describe, start_values_of
 from ..pendulum import is_controller
+from ..scenario import Scenario
 from ..scenario_files import files
 from ..scenario_system import build_system
+from ..unit_definitions import NO_UNIT, unit_of, with_unit
 from ..wiring import CONTROLLER
 from .ranges import Range, range_of
-from .tuning import TuningProblem, design_start
+from .tuning import design_start
 
 MU, U_MAX, ALPHA = "mu", "u_max", "alpha"
 """Minus the degree of homogeneity; the scale of P: the largest |(K - K_0) x| of the first input on the unit ball; the rate
 of decay that the matrix inequality asks for."""
-NOISE_UNITS = {"voltage_noise": "V² s", "disturbance_noise": "V²/s", "bias_noise": "rad²/s"}
+NOISE_UNITS = {"voltage_noise": "V2.s", "disturbance_noise": "V2/s", "bias_noise": "rad2/s"}
 """Of the pendulum's Kalman filter, as in `KalmanOptions`."""
 NOISES = tuple(NOISE_UNITS)
 
@@ -62,7 +65,7 @@ class Tunable:
 
     name: str
     range: Range
-    unit: str = ""
+    unit: str = NO_UNIT
 
     @property
     def logarithmic(self) -> bool:
@@ -72,7 +75,7 @@ class Tunable:
     @property
     def heading(self) -> str:
         """The name with its unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+        return with_unit(self.name, self.unit)
 
     def at(self, share: float) -> float:
         """Return the value at a share in [0, 1] of the range, to DIGITS digits."""
@@ -100,18 +103,17 @@ class Setting:
 
 
 class TunedController:
-    """The controller of a tuning's scenario: what of it can be tuned, and what a choice of that changes."""
+    """The controller of a scenario: what of it can be tuned, and what a choice of that changes."""
 
-    def __init__(self, problem: TuningProblem, design: Design | None) -> None:
-        """Read the FMU of `problem`; `design` is the controller's, None: there is none that is known."""
-        self.problem = problem
-        path = files(problem.scenario, problem.fmus, problem.folder).fmus[CONTROLLER]
+    def __init__(self, scenario: Scenario, fmus: FilePath, folder: FilePath | None, design: Design | None) -> None:
+        """Read the scenario's controller FMU; `design` is the controller's, None: there is none that is known."""
+        path = files(scenario, fmus, folder).fmus[CONTROLLER]
         self.variables = {v.name: v for v in describe(path).modelVariables}
-        components = build_system(problem.scenario, problem.fmus, problem.folder).components
+        components = build_system(scenario, fmus, folder).components
         own = start_values_of(path)
         self.own = own | dict(next(c.start for c in components if c.name == CONTROLLER))
         self.pendulum = is_controller(own)
-        changed = {*certified_names(own)} & problem.scenario.controller.start.keys()
+        changed = {*certified_names(own)} & scenario.controller.start.keys()
         self.design = None if changed else design
         self.redesigned = design is not None and not (changed or design.integral or design.psi or design.d_max)
 
@@ -134,7 +136,7 @@ class TunedController:
     @cached_property
     def start(self) -> dict[str, float]:
         """The present value of all that can be tuned."""
-        values = {name: float(self.own[name]) for name in self._plain}
+        values = {name: float(self.own[name]) for name in self._plain if name in self.own}
         if self.redesigned and self.design is not None:
             values |= {MU: self.design.mu, U_MAX: float(self.design.u_max[0]), ALPHA: self.design.alpha}
             values |= dict(zip(self.gains, self.design.K.ravel().tolist(), strict=True))
@@ -160,8 +162,8 @@ class TunedController:
 
         Raises UserError for a number that cannot be tuned, or not in its range.
         """
-        free = {**self._gains(), ALPHA: _around(self.start[ALPHA], RATES)} if gain else {}
-        ranges = {**(over or self._usual()), **{name: limits for name, limits in free.items() if name not in over}}
+        free = {**self.gain_ranges(), ALPHA: around(self.start[ALPHA], RATES)} if gain else {}
+        ranges = {**(over or self.usual()), **{name: limits for name, limits in free.items() if name not in over}}
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
     def of_linear(self) -> list[Tunable]:
@@ -169,9 +171,9 @@ class TunedController:
 
         Raises UserError where the gain is not known.
         """
-        ranges = self._gains()
+        ranges = self.gain_ranges()
         if self.filtered:
-            ranges |= {name: _around(self.start[name], SPREAD) for name in NOISES}
+            ranges |= {name: around(self.start[name], SPREAD) for name in NOISES}
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
     def linear_setting(self, values: Mapping[str, float]) -> Setting:
@@ -182,21 +184,22 @@ class TunedController:
         changes = {**self.linear(), **_entries(plain)}
         return Setting(changes, changes, None)
 
-    def _usual(self) -> dict[str, Range]:
+    def usual(self) -> dict[str, Range]:
+        """Return the ranges of what is tuned unless other numbers are named."""
         ranges = {"a_min": A_MIN, "b_max": B_MAX}
         if self.redesigned and self.design is not None:
-            ranges[U_MAX] = _around(self.start[U_MAX], SCALES)
+            ranges[U_MAX] = around(self.start[U_MAX], SCALES)
             if self.pendulum:
                 ranges[MU] = MUS
         if self.filtered:
-            ranges |= {name: _around(self.start[name], SPREAD) for name in NOISES}
+            ranges |= {name: around(self.start[name], SPREAD) for name in NOISES}
         return ranges
 
-    def _gains(self) -> dict[str, Range]:
+    def gain_ranges(self) -> dict[str, Range]:
         """Return the ranges of the gain's entries; raise UserError where they cannot be tuned."""
         if not self.redesigned:
             raise UserError("tuning K needs a controller whose design is known, without integral action, psi and d_max")
-        return {name: _around(self.start[name], GAINS) for name in self.gains if self.start[name] != 0.0}
+        return {name: around(self.start[name], GAINS) for name in self.gains if self.start[name] != 0.0}
 
     def _tunable(self, name: str, limits: Range) -> Tunable:
         """Return what is tuned by its name; raise UserError for one that cannot be, or not within these limits."""
@@ -211,7 +214,7 @@ class TunedController:
                 f"controller.{name} must lie in {'(' if positive else '['}{low:g}, {high:g}], "
                 f"found {limits.low:g}..{limits.high:g}"
             )
-        return Tunable(name, limits, self._unit(name))
+        return Tunable(name, limits, self.unit(name))
 
     def _ends(self, name: str) -> tuple[str | float, str | float]:
         """Return the least and the largest value that the controller takes."""
@@ -221,31 +224,34 @@ class TunedController:
         low, high = variable.min, variable.max
         return -math.inf if low is None else low, math.inf if high is None else high
 
-    def _unit(self, name: str) -> str:
-        """Return the unit of a number; empty where it has none."""
+    def unit(self, name: str) -> str:
+        """Return the unit of a number; "1" where it has none."""
         if name in NOISE_UNITS:
             return NOISE_UNITS[name]
         if name == ALPHA:
             return "1/s"
         if name == U_MAX and self.design is not None:
             return self.design.system.inputs[0].unit
-        unit = getattr(self.variables.get(name), "unit", None)
-        return "" if unit in (None, "1") else str(unit)
+        variable = self.variables.get(name)
+        return NO_UNIT if variable is None else unit_of(variable)
 
     def setting(self, values: Mapping[str, float]) -> Setting:
-        """Return what these values change; raises UserError where no design is proven for them."""
+        """Return what these values change; raises UserError where they cannot be, or no design is proven for them."""
         now = {**self.start, **values}
-        if now["a_min"] > now["b_max"]:
+        if now.get("a_min", 0.0) > now.get("b_max", math.inf):
             raise UserError(f"a_min must not exceed b_max, found {now['a_min']} and {now['b_max']}")
         plain = {name: value for name, value in values.items() if name in self._plain}
+        for name in NOISES:
+            if name in values and not 0.0 < values[name] < math.inf:
+                raise UserError(f"{name} must be positive and finite, found {values[name]:g}")
         if any(name in values for name in NOISES):
             plain |= self._kalman(now)
         design = self._design(values)
-        return Setting(_entries({**self._design_start(design), **plain}), _entries(plain), design)
+        return Setting(_entries({**self._design_start(design, now), **plain}), _entries(plain), design)
 
     def linear(self) -> dict[str, Value | str]:
         """Return the changes that make the controller the LC that its design was made from."""
-        return {**_entries(self._design_start(self.design)), f"{CONTROLLER}.start.law": "LC"}
+        return {**_entries(self._design_start(self.design, self.start)), f"{CONTROLLER}.start.law": "LC"}
 
     def _design(self, values: Mapping[str, float]) -> Design | None:
         d = self.design
@@ -258,7 +264,7 @@ class TunedController:
         bounds = d.u_max * (u_max / d.u_max[0])
         return solved if (solved.u_max == bounds).all() else solved.scaled_to(u_max=bounds.tolist())
 
-    def _design_start(self, design: Design | None) -> dict[str, Value]:
+    def _design_start(self, design: Design | None, now: Mapping[str, float]) -> dict[str, Value]:
         """Return the start values that a design decides: of the pendulum all, of another what it changes."""
         if design is None or (design is self.design and not self.pendulum):
             return {}
@@ -267,17 +273,17 @@ class TunedController:
             values: dict[str, Value] = {MU: design.mu}
             values |= {f"P_{i + 1}_{j + 1}": float(design.P[i, j]) for i in range(n) for j in range(i, n)}
             return values | {f"K_{i + 1}_{j + 1}": float(design.K[i, j]) for i in range(m) for j in range(n)}
-        return design_start(design, self.problem.voltage_limit)
+        return design_start(design, now["voltage_limit"])
 
     def _kalman(self, values: Mapping[str, float]) -> dict[str, Value]:
         known = {**self.own, **values}
         nominal = {name: float(value) for name, value in known.items() if name.startswith("nominal_")}
-        options = replace(KalmanOptions(), **{name: values[name] for name in NOISES})
-        return kalman_values(nominal, float(self.own["sample_time"]), options)
+        options = replace(KalmanOptions(), **{name: values[name] for name in NOISES if name in values})
+        return kalman_values(nominal, float(known["sample_time"]), options)
 
 
-def _around(value: float, factors: tuple[float, float]) -> Range:
-    """Return the range between multiples of a value, to three digits."""
+def around(value: float, factors: tuple[float, float]) -> Range:
+    """Return the range between two multiples of a value, to three digits."""
     return Range(*sorted(float(f"{factor * value:.3g}") for factor in factors))
 
 

@@ -191,6 +191,11 @@ class Tab:
             assert time.monotonic() < end, (script, said, self.said)
             time.sleep(0.02)
 
+    def click(self, x: float, y: float) -> None:
+        """Click at a place of what is seen [CSS px]."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.do("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
     def press(self, key: str, count: int = 1) -> None:
         """Press a key, where the focus is."""
         for _ in range(count):

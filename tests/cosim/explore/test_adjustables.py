@@ -7,7 +7,8 @@ import pytest
 
 import cosim
 import ihc_fmu
-from cosim.explore.adjustables import Choice, Slider, groups_of, pendulum_design, slider, with_disturbance
+from cosim.errors import UserError
+from cosim.explore.adjustables import Choice, Slider, controller_of, groups_of, slider, with_disturbance
 from cosim.scenario import Scenario, load_scenario
 
 ARM: dict[str, Any] = {"plant": {"fmu": "arm_linear_plant.fmu"}, "controller": {"fmu": "arm_controller.fmu"}}
@@ -30,8 +31,8 @@ def members(groups):
 @pytest.mark.parametrize("name", ["tilt_kalman", "swing_up", "square_wave", "paper"])
 def test_every_value_of_the_pendulum_lies_in_its_slider(name, fmus):
     scenario, folder = load_scenario(name)
-    design = pendulum_design(scenario, fmus, folder)
-    groups = groups_of(with_disturbance(scenario, fmus, folder), fmus, folder, design, 10.0)
+    controller = controller_of(scenario, fmus, folder)
+    groups = groups_of(with_disturbance(scenario, fmus, folder), fmus, folder, controller, 10.0)
     found = members(groups)
     for member in found.values():
         if isinstance(member, Slider):
@@ -43,7 +44,11 @@ def test_every_value_of_the_pendulum_lies_in_its_slider(name, fmus):
     initial = next(group for group in groups if group.title == "initial state")
     assert [m.name for m in initial.members] == ["theta_0", "delta_0", "theta_dot_0", "delta_dot_0"]
     assert [m.unit for m in initial.members if isinstance(m, Slider)] == ["rad", "rad", "rad/s", "rad/s"]
-    assert {"design.mu", "design.u_max", "disturbance.gain", "controller.start.a_min"} <= found.keys()
+    noises = {f"controller.{name}" for name in ("voltage_noise", "disturbance_noise", "bias_noise")}
+    assert {"controller.mu", "controller.u_max", "disturbance.gain", "controller.start.a_min", *noises} <= found.keys()
+    assert [m.label for m in found.values() if m.name == "voltage_noise" and isinstance(m, Slider)] == [
+        "voltage_noise [V² s]"
+    ]
     assert not {"controller.start.law", "controller.start.enabled"} & found.keys()
 
 
@@ -61,7 +66,7 @@ def test_any_plants_states_and_inputs_are_found(arm):
     scenario = Scenario(**ARM)
     disturbed = with_disturbance(scenario, arm, None)
     assert (disturbed.disturbance.input, disturbed.disturbance.gain) == ("u1_disturbance", 0.0)
-    groups = groups_of(disturbed, arm, None, pendulum_design(scenario, arm, None), 3.0)
+    groups = groups_of(disturbed, arm, None, controller_of(scenario, arm, None), 3.0)
     assert [g.title for g in groups if not g.folded] == [
         "controller",
         "initial state",
@@ -73,7 +78,12 @@ def test_any_plants_states_and_inputs_are_found(arm):
     gain = found["disturbance.gain"]
     assert isinstance(gain, Slider)
     assert gain.high == 3.0  # as much as the control, by a sine of amplitude 1
-    assert "design.mu" not in found
+    assert {"controller.mu", "controller.u_max", "controller.K_1_1", "controller.K_1_2"} <= found.keys()
+    changed = scenario.changed({"controller.start.K_1_1": -9.0})  # what runs is not the design
+    assert (
+        not {"controller.mu", "controller.K_1_1"}
+        & members(groups_of(changed, arm, None, controller_of(changed, arm, None), 3.0)).keys()
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,5 +105,12 @@ def test_a_slider_is_about_its_value_within_the_limits(value, limits, more, low,
     assert (made.low, made.high, made.step) == pytest.approx((low, high, step), rel=1e-9)
 
 
-def test_a_number_of_a_slider_has_no_rest_of_binary_fractions():
-    assert slider("entry", "name", "1", "", 1.0).number(0.1 + 0.2) == 0.3
+def test_what_a_page_sends_is_taken_without_a_rest_of_binary_fractions_or_refused():
+    number, choice = slider("entry", "name", "1", "", 1.0), Choice("entry", "name", "", 1, {1: "one", 2: "two"})
+    assert (number.taken(0.1 + 0.2), choice.taken(2)) == (0.3, 2)
+    for value in (None, "1", True, math.nan, -math.inf, 1e200, [1.0]):
+        with pytest.raises(UserError, match="name must be a finite number, found"):
+            number.taken(value)
+    for value in (None, 3, "one", [1]):
+        with pytest.raises(UserError, match="name must be one of one, two, found"):
+            choice.taken(value)

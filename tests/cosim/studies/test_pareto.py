@@ -43,6 +43,12 @@ from tests.cosim.command import ended, finished, journal_rows, started
 THREE = objectives_of(["settling", "energy", "variation"], QUANTITIES)
 TUNABLES = (Tunable("a_min", Range(0.1, 1.0)), Tunable("b_max", Range(1.0, 5.0)))
 
+
+def tuned(problem, design):
+    """Return the controller of a tuning's scenario."""
+    return TunedController(problem.scenario, problem.fmus, problem.folder, design)
+
+
 # The search, on functions whose front is known
 
 
@@ -301,7 +307,7 @@ def tilt(fmus, design):
 @pytest.fixture(scope="module")
 def search(tilt, design):
     over = {"a_min": Range(0.1, 1.0), "b_max": Range(1.0, 4.0), "u_max": Range(0.5, 10.0)}
-    tunables = tuple(TunedController(tilt, design).tunables(over))
+    tunables = tuple(tuned(tilt, design).tunables(over))
     objectives = objectives_of(["integral", "energy"], QUANTITIES)
     return Search(objectives, tunables, {"energy": 2.0}, population=6, generations=3, held_out=4, seed=3)
 
@@ -313,7 +319,7 @@ def look(tilt, search, design):
     def go(path, progress=None):
         said = []
         with Journal(path, PURPOSE) as journal:
-            return pareto(tilt, search, TunedController(tilt, design), GRID, journal, 2, progress, said.append), said
+            return pareto(tilt, search, tuned(tilt, design), GRID, journal, 2, progress, said.append), said
 
     return go
 
@@ -376,7 +382,7 @@ def test_a_point_that_loses_the_plant_is_infeasible_and_so_is_one_out_of_reach(f
         return {"kept": kept, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": energy}
 
     with Journal(tmp_path / "runs", PURPOSE) as journal:
-        judge = PointJudge(tilt, search, TunedController(tilt, design), journal, 1)
+        judge = PointJudge(tilt, search, tuned(tilt, design), journal, 1)
         judge.linear, judge.reach = {"": [draw(), draw()]}, [4.0, 4.0]
         assert judge.searched({"": [draw(energy=2.0), draw(energy=4.0)]}) == (pytest.approx([0.0, math.log(3.0)]), 0.0)
         violations = [judge.searched({"": draws})[1] for draws in ([draw(energy=9.0)] * 2, [draw(), {}], [{}, {}])]
@@ -406,7 +412,7 @@ def test_the_chosen_point_is_written_as_a_scenario_that_gives_its_numbers(found,
 def test_the_linear_controller_is_tuned_as_freely_and_judged_beside(found, tilt, search, design, tmp_path):
     """Its points change K only, keep the limits as the chosen one does, and none of them is beaten by another."""
     with Journal(tmp_path / "runs.sqlite", PURPOSE) as journal:
-        controller = TunedController(tilt, design)
+        controller = tuned(tilt, design)
         front = pareto(tilt, dataclasses.replace(search, linear=True), controller, GRID, journal, 2)
     own = front.of(RETUNED)
     assert own
@@ -451,7 +457,7 @@ def test_the_search_goes_on_towards_the_goals_and_is_judged_in_each_case(tilt, g
         front = pareto(
             problem,
             goals,
-            TunedController(problem, design),
+            tuned(problem, design),
             GRID,
             journal,
             2,
@@ -482,7 +488,7 @@ def test_a_point_must_come_to_rest_from_where_it_is_held_whatever_the_linear_con
     tilt, goals, design, tmp_path
 ):
     with Journal(tmp_path / "runs", PURPOSE) as journal:
-        judge = PointJudge(tilt, goals, TunedController(tilt, design), journal, 1)
+        judge = PointJudge(tilt, goals, tuned(tilt, design), journal, 1)
     (held,) = (case for case in goals.cases if case.rest)
     fine = {"kept": 1.0, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": 1.0, "capture_time": 0.002}
     rest, astray = {**fine, "settling_time": 0.2}, {**fine, "settling_time": math.nan}
@@ -503,7 +509,7 @@ def test_a_case_of_what_the_tuning_decides_is_refused(tilt, goals, design, tmp_p
             UserError, match=r"a case must not change what the tuning decides, found controller\.start\.a_min"
         ),
     ):
-        pareto(tilt, asked, TunedController(tilt, design), GRID, journal, 2)
+        pareto(tilt, asked, tuned(tilt, design), GRID, journal, 2)
 
 
 def test_an_objective_that_the_linear_controller_lacks_is_refused(tilt, search, design, tmp_path):
@@ -512,7 +518,7 @@ def test_an_objective_that_the_linear_controller_lacks_is_refused(tilt, search, 
         Journal(tmp_path / "runs", PURPOSE) as journal,
         pytest.raises(UserError, match="the LC, which in this scenario has no steady_rms yet at the end of a run"),
     ):
-        pareto(tilt, asked, TunedController(tilt, design), GRID, journal, 2)
+        pareto(tilt, asked, tuned(tilt, design), GRID, journal, 2)
 
 
 # The command

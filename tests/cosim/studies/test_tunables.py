@@ -1,7 +1,5 @@
 """What of a controller is tuned freely: ranges and their shares, and what a choice of values changes."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,6 @@ from cosim.scenario import load_scenario
 from cosim.scenario_system import build_system, controller_design
 from cosim.studies.ranges import Range
 from cosim.studies.tunables import NOISES, Tunable, TunedController, ranges_over
-from cosim.studies.tuning import TuningProblem
 from cosim.system_export import export_system
 from ihc_fmu import System, inverse_design
 from ihc_fmu.design import Design
@@ -24,20 +21,26 @@ def tuned(fmus, design):
 
     def make(name="tilt_kalman", changes=None):
         scenario, folder = load_scenario(name)
-        return TunedController(TuningProblem(scenario.changed(changes or {}), folder, fmus, design), design)
+        return TunedController(scenario.changed(changes or {}), fmus, folder, design)
 
     return make
 
 
 @pytest.fixture(scope="module")
-def cart(tmp_path_factory):
-    """The tuned controller of another system, with its design from its FMU."""
+def cart_system(tmp_path_factory):
+    """Another system: its scenario, the folders of its FMUs and of itself, the design from its controller FMU."""
     system = System(A=[[0, 1], [0, 0]], B=[0, 1], K=[-4, -4], name="cart", states=("position [m]", "speed [m/s]"))
     folder = tmp_path_factory.mktemp("cart")
     export_system(inverse_design(system, Options(alpha=0.4, u_max=3.0)), folder)
     scenario, beside = load_scenario(folder / "cart.ssp")
     known = controller_design(build_system(scenario, beside, beside), scenario, beside)[0]
-    return TunedController(TuningProblem(scenario, beside, beside, None), known)
+    return scenario, beside, beside, known
+
+
+@pytest.fixture
+def cart(cart_system):
+    """The tuned controller of another system."""
+    return TunedController(*cart_system)
 
 
 @pytest.mark.parametrize("low_high", [(0.05, 1.0), (1.0, 5.0), (-2.0, 30.0), (-4.0, -0.1)])
@@ -63,15 +66,13 @@ def test_the_usual_numbers_are_those_that_act(tuned, cart):
         assert t.range.low <= controller.start[t.name] <= t.range.high
 
 
-def test_the_present_values_are_the_scenario_as_it_stands(tuned, cart):
+def test_the_present_values_are_the_scenario_as_it_stands(tuned, cart, fmus):
     """Of the scenario, its design and its filter: nothing that acts is another number."""
     controller = tuned()
+    scenario, folder = load_scenario("tilt_kalman")
     setting = controller.setting({t.name: controller.start[t.name] for t in controller.tunables({}, gain=True)})
     assert setting.design is controller.design
-    changed = controller.problem.base.changed(dict(setting.changes))
-    systems = [
-        build_system(s, controller.problem.fmus, controller.problem.folder) for s in (changed, controller.problem.base)
-    ]
+    systems = [build_system(s, fmus, folder) for s in (scenario.changed(dict(setting.changes)), scenario)]
     now, before = ({**controller.own, **s.components[0].start} for s in systems)
     assert {name for name in now if now[name] != before[name]} == set()
     assert cart.setting({"a_min": 0.5, "u_max": cart.start["u_max"]}).changes == {"controller.start.a_min": 0.5}
@@ -133,11 +134,12 @@ def test_what_cannot_be_tuned_is_refused_in_a_sentence(tuned, over, sentence):
     assert str(said.value).startswith(sentence)
 
 
-def test_without_a_known_design_neither_scale_nor_gain_is_tuned(cart):
-    foreign = TunedController(cart.problem, None)
+def test_without_a_known_design_neither_scale_nor_gain_is_tuned(cart_system):
+    scenario, fmus, folder, design = cart_system
+    foreign = TunedController(scenario, fmus, folder, None)
     assert [t.name for t in foreign.tunables({})] == ["a_min", "b_max"]
     assert foreign.setting({"a_min": 0.5}).design is None
     with pytest.raises(UserError, match="tuning K needs a controller whose design is known"):
         foreign.tunables({}, gain=True)
-    moved = dataclasses.replace(cart.problem, scenario=cart.problem.scenario.changed({"controller.start.K_1_1": -5.0}))
-    assert TunedController(moved, cart.design).design is None
+    moved = scenario.changed({"controller.start.K_1_1": -5.0})
+    assert TunedController(moved, fmus, folder, design).design is None
