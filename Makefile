@@ -11,7 +11,7 @@ demo: $(VENV)/installed   ## design, export, co-simulate LC, SMC and IHC, compar
 paper: $(VENV)/installed   ## the paper's experiments, repeated and judged; more than half an hour, can be interrupted and continued
 	$(BIN)/qube-ihc paper
 
-test: $(VENV)/installed lint   ## lint, type check and all tests
+test: lint   ## lint, type check and all tests
 	$(BIN)/pytest
 
 C_FILES := src/*/native/* src/fmu_export/adapter/* cosim/native/* benchmarks/* tests/fmu_export/native/* tests/fmu_export/native/*/*
@@ -49,7 +49,7 @@ SOURCES := pyproject.toml hatch_build.py $(wildcard src/*/native/*.[ch] src/fmu_
 $(VENV)/installed: $(SOURCES)   ## also compiles the native units, with Zig from PyPI
 	@echo "Installing into $(VENV): libraries, test tools and, compiled with Zig, the native units. A few minutes the first time."
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[dev]'
 	@touch $@
 	@echo "Installed."
 

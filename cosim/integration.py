@@ -13,11 +13,10 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from scipy.integrate import DOP853, OdeSolver, Radau
 
 from fmu_export.files import FilePath
 
@@ -25,6 +24,9 @@ from .fmu import DISCARD, FmuError, Instance, status_text
 from .fmu_files import describe
 from .model_exchange import ModelInstance
 from .start_values import StartValue
+
+if TYPE_CHECKING:
+    from scipy.integrate import DOP853, OdeSolver, Radau
 
 Array = np.ndarray
 
@@ -66,7 +68,7 @@ class IntegratedInstance(ModelInstance):
     _time: float = 0.0
     _stop_time: float = math.inf
     _size: float = math.inf
-    _method: type[DOP853 | Radau] = DOP853
+    _stiff: bool = False
     _reason: str = ""
 
     def __post_init__(self) -> None:
@@ -79,7 +81,7 @@ class IntegratedInstance(ModelInstance):
     def start(self, start: Mapping[str, StartValue], start_time: float, stop_time: float | None) -> None:
         """Instantiate and set the start values, up to initialization mode; None: no stop time."""
         self._time, self._stop_time = start_time, math.inf if stop_time is None else stop_time
-        self._size, self._method = math.inf, DOP853
+        self._size, self._stiff = math.inf, False
         super().start(start, start_time, stop_time)
 
     def run(self) -> None:
@@ -127,8 +129,8 @@ class IntegratedInstance(ModelInstance):
             event = self._back_to_event(solver, signs)
             if self._completed() or event:
                 break
-            if MOST_STEPS - left == STIFF and self._method is not Radau:
-                self._method = Radau
+            if MOST_STEPS - left == STIFF and not self._stiff:
+                self._stiff = True
                 self.messages.append(
                     f"warning: stiff, integrated by Radau from t = {self._time:.6g} s on: DOP853 made {STIFF} steps in one"
                 )
@@ -138,6 +140,8 @@ class IntegratedInstance(ModelInstance):
 
     def _solver(self, target: float) -> DOP853 | Radau:
         """Return a solver from the present states to `target`."""
+        from scipy.integrate import DOP853, Radau  # noqa: PLC0415 - heavy
+
         count = len(self._states)
         self._call("getContinuousStates", self._fmu.getContinuousStates, self._states, count)
         y = np.array(self._states)
@@ -146,7 +150,7 @@ class IntegratedInstance(ModelInstance):
         nominals[~(np.isfinite(nominals) & (nominals > 0.0))] = 1.0
         assert self.tolerance is not None
         with np.errstate(all="ignore"):
-            return self._method(
+            return (Radau if self._stiff else DOP853)(
                 self._derivatives,
                 self._time,
                 y,

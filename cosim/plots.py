@@ -258,10 +258,10 @@ def save_figure(figure: Figure, path: FilePath, title: str) -> Path:
     """Write a PNG, the same bytes for the same figure; beside `path` first, then renamed."""
     path = Path(path)
     figure.suptitle(literal(title), fontsize="medium")
-    FigureCanvasAgg(figure)
+    figure.dpi = 130
     buffer = io.BytesIO()
     with np.errstate(all="ignore"):  # a run that left the range of numbers
-        figure.savefig(buffer, format="png", dpi=130, metadata={"Software": SOFTWARE})
+        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": SOFTWARE})  # savefig would draw it twice
     write_file(path, buffer.getvalue())
     return path
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.linalg import matrix_balance
 
 from .derivative_checks import DIGITS, LARGEST_ERROR, NOTABLE_ERROR, check_smooth, place, relative, without_noise
 from .derivatives import EvaluationError, differences, jacobian
@@ -68,6 +67,8 @@ class CoSimulationPlant(Plant):
 
     def linear(self, z: Array, notes: list[str]) -> LinearModel:
         """Return the linear model about z; `notes` are added to its own."""
+        from scipy.linalg import matrix_balance  # noqa: PLC0415 - heavy, and a run needs none of it
+
         A = self._logarithm(self._jacobian(z, 1, self.step), z, self.step)[0]
         sizes = self.sizes(z)[: self.n]
         norm = float(np.linalg.norm(matrix_balance(A * sizes / sizes[:, None])[0], 2))

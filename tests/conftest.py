@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import gc
 import os
 import shutil
 import signal
@@ -25,6 +26,12 @@ def pytest_configure(config) -> None:
     config.stash[FOLDER] = Path(tempfile.mkdtemp(prefix="qube-ihc-tests-"))
     atexit.register(shutil.rmtree, config.stash[FOLDER], ignore_errors=True)
     tempfile.tempdir = os.environ["TMPDIR"] = str(config.stash[FOLDER])  # of the workers and of their processes, too
+
+
+def pytest_collection_finish() -> None:
+    """Thousands of tests live to the end: the garbage collector does not go through them again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -55,9 +55,11 @@ def test_the_version_is_the_distributions():
     assert ihc_fmu.__version__ == cosim.__version__ == version("qube-ihc")
 
 
-def test_importing_the_packages_loads_no_library():
-    code = "import sys, ihc_fmu, cosim; print({'numpy', 'cvxpy', 'fmpy', 'matplotlib'} & sys.modules.keys())"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"
+def test_importing_the_packages_loads_no_library_and_what_a_run_needs_not_scipy():
+    code = "import sys, ihc_fmu, cosim; print({'numpy', 'cvxpy', 'fmpy', 'matplotlib'} & sys.modules.keys())\n"
+    code += "import cosim.scenario_run, cosim.remarks, cosim.plots; print({'cvxpy', 'scipy'} & sys.modules.keys())"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\nset()\n"
 
 
 def test_from_a_linear_controller_to_a_picture(tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -33,6 +34,7 @@ def imported(name, path, known):
                 yield from (module for module in (f"{source}.{alias.name}", source) if module in known)
 
 
+@cache
 def graph():
     known = modules()
     return {name: set(imported(name, path, known)) - {name} for name, path in known.items()}

@@ -34,7 +34,6 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
     Yields what was obtained and what was not, in words. Everything is as before afterwards.
     """
     gc.collect()
-    gc.freeze()
     was_enabled = gc.isenabled()
     gc.disable()
     notes: list[str] = []
@@ -46,7 +45,6 @@ def undisturbed(*, real_time: bool) -> Iterator[list[str]]:
             undo()
         if was_enabled:
             gc.enable()
-        gc.unfreeze()
 
 
 def _scheduled(notes: list[str]) -> Callable[[], None] | None:

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 
 import numpy as np
-from scipy.linalg import qr
 
 from fmu_export.errors import UserError
 
@@ -168,6 +167,8 @@ def _staircase(A: Array, B: Array, units: Array, names: Sequence[str]) -> list[A
 
 def _simple(basis: Array, units: Array) -> Array:
     """Return a combination of the columns of an orthonormal basis that leaves out as many states as the columns allow."""
+    from scipy.linalg import qr  # noqa: PLC0415 - heavy, and a run needs none of it
+
     *_, pivots = qr(basis.T, mode="r", pivoting=True)
     reduced = basis @ np.linalg.inv(basis[pivots[: basis.shape[1]]])
     fewest = int(np.argmin((np.abs(reduced) > RANK).sum(axis=0)))

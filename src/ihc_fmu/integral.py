@@ -27,7 +27,6 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import solve_continuous_lyapunov
 
 from fmu_export.errors import UserError
 
@@ -95,6 +94,8 @@ def nearest(K_i: Array, B: Array, P: Array, states: Array, inputs: Array) -> Arr
     In the Frobenius norm, with states and inputs divided by the sizes `states` (n,) and `inputs` (m,): with sizes of 1 the
     gain of the authors' toolbox. Raises UserError where rows of K_i depend on each other and where Gamma is not positive.
     """
+    from scipy.linalg import solve_continuous_lyapunov  # noqa: PLC0415 - heavy, and a run needs none of it
+
     K = K_i / inputs[:, None] * states
     M = -(B * inputs).T @ P * states
     if np.linalg.matrix_rank(K) < len(K):

@@ -24,7 +24,6 @@ from .arrays import Array
 from .block_form import BlockForm, block_form
 from .observer_wish import ObserverWish
 from .quantity import Quantity, index_of
-from .riccati import lqr_gain
 from .state_space import fields_of_model
 from .system_entries import called_as_given, entries_of, fields_of, toml_of
 from .system_rules import checked
@@ -246,6 +245,8 @@ class System:
             For weights without a stabilizing solution, also where (A, B) is not controllable, and where none is found in
             double precision.
         """
+        from .riccati import lqr_gain  # noqa: PLC0415 - needs SciPy
+
         return self.changed(K=lqr_gain(self.A, self.B, Q, R, [q.name for q in self.states]))
 
     @classmethod

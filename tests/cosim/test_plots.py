@@ -101,7 +101,7 @@ def test_a_result_in_a_single_mode_has_its_pictures(made_result, tmp_path, mode)
 def test_a_failed_picture_leaves_the_earlier_one(tmp_path, monkeypatch):
     path = tmp_path / "run.png"
     path.write_bytes(before := b"the earlier one")
-    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
+    monkeypatch.setattr(Figure, "draw", lambda *_, **__: (_ for _ in ()).throw(MemoryError))
     with pytest.raises(MemoryError):
         save_figure(Figure(), path, "title")
     assert (path.read_bytes(), list(tmp_path.iterdir())) == (before, [path])

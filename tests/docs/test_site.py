@@ -13,6 +13,13 @@ ROOT = Path(__file__).parents[2]
 LISTS = ("index", "tutorial", "how_to", "explanation", "reference")
 
 
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda p: p.name)
+def test_every_page_is_listed_once(page):
+    lists = [(ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in LISTS]
+    items = [item for text in lists for item in re.findall(r"^- \[[^\n]+?\]\(([\w./]+)\)", text, flags=re.MULTILINE)]
+    assert items.count(page.name) == (0 if page.name == "index.md" else 1)
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     """The site as `make docs` builds it."""
@@ -69,13 +76,6 @@ def test_pages_are_grouped_as_the_start_page_lists_them(site):
     header = (site / "docs" / "index.html").read_text(encoding="utf-8").split("</header>")[0]
     titles = re.findall(r'<a class="nav-link nav-internal" href="(\w+)\.html">', header)
     assert list(dict.fromkeys(titles)) == ["five_minutes", *LISTS[1:]]
-
-
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda p: p.name)
-def test_every_page_is_listed_once(page):
-    lists = [(ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8") for name in LISTS]
-    items = [item for text in lists for item in re.findall(r"^- \[[^\n]+?\]\(([\w./]+)\)", text, flags=re.MULTILINE)]
-    assert items.count(page.name) == (0 if page.name == "index.md" else 1)
 
 
 def test_equations_are_mathml(site):

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -164,6 +165,7 @@ def symbols(native_units, tmp_path_factory):
     for file, text in files.items():
         (folder / file).write_bytes(text)
 
+    @cache
     def of(source):
         target = PLATFORMS["linux64"].targets[0]
         command = [

@@ -136,7 +136,8 @@ def test_constant_disturbance_leaves_no_error(law, start, integral):
     disturbance = np.array([0.3, -0.2])
     gain: Any = "direct" if integral == "direct" else -np.array([[8.0, 3.0, 2.0, 1.0], [3.0, 3.0, 1.0, 0.6]])
     design = synthesize(arm(integral=gain), 0.5, 0.3, u_max=[3.0, 3.0])
-    x, v = run(Controller(design, law=law, **start), ARM, np.zeros(4), 25.0, disturbance)
+    seconds = 25.0 if (law, integral) == ("LC", "linear") else 12.0  # that pole is the slowest
+    x, v = run(Controller(design, law=law, **start), ARM, np.zeros(4), seconds, disturbance)
     assert np.abs(x).max() > 1e-3
     assert np.abs(x[-1]).max() < 1e-4
     np.testing.assert_allclose(v[-1], -disturbance, atol=1e-3)
@@ -155,7 +156,7 @@ def test_saturated_input_does_not_wind_up():
     }
     system = System(**entries, lower=-np.ones(1), upper=np.ones(1), integral="direct").with_lqr(np.ones(2), np.ones(1))
     design = synthesize(system, 0.5, 0.1)
-    x, v = run(Controller(design, a_min=0.1, b_max=1.0), entries, np.array([-20.0, 0.0]), 120.0, np.array([0.4]))
+    x, v = run(Controller(design, a_min=0.1, b_max=1.0), entries, np.array([-20.0, 0.0]), 40.0, np.array([0.4]))
     assert x[:, 0].max() < 2.0
     assert np.abs(v).max() < 1.0
     assert np.abs(x[-1]).max() < 1e-6

@@ -78,17 +78,23 @@ def test_no_step_raises_a_floating_point_exception(large, tmp_path):
     assert (done.returncode, done.stdout.splitlines()[-1:]) == (0, ["done"]), done.stderr
 
 
-@pytest.mark.parametrize("largest", [1e3, 1e300])
-def test_random_calls_do_no_harm(largest, large, tmp_path):
+@pytest.fixture(scope="module")
+def fuzz(tmp_path_factory):
+    """The program of random calls, under sanitizers."""
+    folder = tmp_path_factory.mktemp("fuzz")
     for file, text in unit_files(NATIVE).items():
-        (tmp_path / file).write_bytes(text)
-    sources = sorted(file.name for file in tmp_path.glob("*.c"))
+        (folder / file).write_bytes(text)
+    sources = sorted(file.name for file in folder.glob("*.c"))
     try:
-        fuzz = compile_c(tmp_path, "fuzz", PROGRAMS / "fuzz.c", *sources)
+        return compile_c(folder, "fuzz", PROGRAMS / "fuzz.c", *sources)
     except AssertionError as error:
         if "sanitize" not in str(error):
             raise
         pytest.skip("the sources were not run under sanitizers: gcc has none")
+
+
+@pytest.mark.parametrize("largest", [1e3, 1e300])
+def test_random_calls_do_no_harm(largest, large, fuzz):
     guid = read_model_description(str(large)).guid
     printed = run_clean(fuzz, (large / "resources").as_uri(), guid, 1, 100_000, largest, "forge")
     good = {call: int(count) for call, count in map(str.split, printed.splitlines())}
