@@ -45,6 +45,7 @@ BUILT_IN = [
     "tilt_ideal",
     "tilt_kalman",
     "tilt_sharp",
+    "tilt_sparing",
 ]
 
 FULL = """
