@@ -106,11 +106,19 @@ def test_a_result_that_cannot_be_written_is_rescued(ended, fmus, monkeypatch, tm
     rescue = tmp_path / "rescue"
     rescue.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(rescue))
-    (tmp_path / "file").touch()
-    code, err = ended("run", "tilt", "--fmus", fmus, "--set", "run.duration=0.01", "-o", "file/out.csv")
+    save = Result.save
+
+    def full(result, path):
+        """Save a result, unless to where the disk is full."""
+        if Path(path) == Path("full/out.csv"):
+            raise UserError(f"{path} cannot be written: No space left on device")
+        return save(result, path)
+
+    monkeypatch.setattr(Result, "save", full)
+    code, err = ended("run", "tilt", "--fmus", fmus, "--set", "run.duration=0.01", "-o", "full/out.csv")
     (saved,) = rescue.rglob("*.csv")
     assert code == 2
-    assert f"file/out.csv cannot be written: File exists; the rows are in {saved}" in err
+    assert f"full/out.csv cannot be written: No space left on device; the rows are in {saved}" in err
     assert len(Result.load(saved).time) == 11
 
 
