@@ -175,7 +175,11 @@ def started_run(*arguments, cwd, folder):
 def test_a_signal_ends_a_command_as_ctrl_c_does(elsewhere, monkeypatch, arguments, number):
     folder = elsewhere / "unpacked"
     monkeypatch.setenv("TMPDIR", str(folder))
-    process = started_run(*arguments, cwd=elsewhere, folder=folder)
+    here = signal.signal(number, signal.SIG_DFL)  # under nohup the tests, and what they start, ignore SIGHUP
+    try:
+        process = started_run(*arguments, cwd=elsewhere, folder=folder)
+    finally:
+        signal.signal(number, here)
     try:
         process.send_signal(number)
         _, err = process.communicate(timeout=20)
