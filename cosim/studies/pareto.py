@@ -182,11 +182,8 @@ class _Explorer:
         most = self.search.population // SHARE
         if self.search.goals:
             return sorted(self.feasible, key=self._beyond)[:most]
-        names = [q.name for q in self.search.objectives]
-        linear = self.judge.objectives(self.judge.linear)
-        limits = {
-            names.index(name): factor * linear[names.index(name)].value for name, factor in self.search.bounds.items()
-        }
+        names, bounds = [q.name for q in self.search.objectives], self.search.bounds
+        limits = {names.index(name): factor * self.judge.level[names.index(name)] for name, factor in bounds.items()}
         able = [v for v, F in self.feasible.items() if all(math.exp(F[i]) <= limit for i, limit in limits.items())]
         return sorted(able, key=lambda v: tuple(self.feasible[v]))[:most]
 

@@ -48,6 +48,7 @@ class PointJudge:
         self.journal, self.workers = journal, workers
         self.linear_changes = {**controller.linear(), **search.reference}
         self.linear: Runs = {}
+        self.level: Array = np.zeros(0)
         self.reach: list[float] = []
         place = problem.scenario, problem.fmus, problem.folder
         self.free = without_supervisor(*place)
@@ -62,7 +63,9 @@ class PointJudge:
                 if entry in decided:
                     raise UserError(f"a case must not change what the tuning decides, found {entry}")
         (self.linear,) = self.runs([self.linear_changes], self.problem.numbers, progress)
-        for q, estimate in zip(self.search.objectives, self.objectives(self.linear), strict=True):
+        estimates = self.objectives(self.linear)
+        self.level = np.array([estimate.value for estimate in estimates])
+        for q, estimate in zip(self.search.objectives, estimates, strict=True):
             if math.isnan(estimate.value):
                 where = f"the case {q.case}" if q.case else "this scenario"
                 raise UserError(
@@ -125,7 +128,7 @@ class PointJudge:
         if violation:
             return np.zeros_like(values), violation
         logs = np.log(np.maximum(values, LEAST))
-        beyond = float(np.maximum(logs - np.log(np.maximum(self.reach, LEAST)), 0.0).sum())
+        beyond = float(np.maximum(logs - np.log(self.reach), 0.0).sum())
         return logs, beyond / (1.0 + beyond)
 
     def towards_goals(self, logs: Array) -> float:
@@ -133,10 +136,9 @@ class PointJudge:
 
         The little is so that what is not the worst is made small too. What is beyond a limit counts BEYOND times.
         """
-        linear = np.array([estimate.value for estimate in self.objectives(self.linear)])
         goals = np.array([self.search.goals.get(q.name, 1.0) for q in self.search.objectives])
         of_goal = np.array([q.name in self.search.goals for q in self.search.objectives])
-        excess = (logs - np.log(goals * linear))[of_goal]
+        excess = (logs - np.log(goals * self.level))[of_goal]
         limits = [math.log(self.search.bounds.get(q.name, math.inf)) for q in self.search.objectives]
-        beyond = np.maximum(logs - np.log(linear) - limits, 0.0).sum()
+        beyond = np.maximum(logs - np.log(self.level) - limits, 0.0).sum()
         return float(excess.max() + ALL * excess.mean() + BEYOND * beyond)
