@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import sys
+import time
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -215,7 +216,10 @@ def print_comparison(comparison: Comparison) -> None:
 
 @contextmanager
 def staged_progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar for each stage of long work."""
+    """Show a bar for each stage of long work; where nothing can move, as in a batch job's log, a line in a while."""
+    if not problems.is_interactive:
+        yield ProgressLines()
+        return
     with progress() as bar:
         tasks: dict[str, Any] = {}
 
@@ -225,6 +229,27 @@ def staged_progress() -> Iterator[Callable[[str, int, int], None]]:
             bar.update(tasks[what], completed=done, total=total)
 
         yield report
+
+
+class ProgressLines:
+    """Says in lines of its own how far a stage is and how long the rest takes at the pace so far."""
+
+    EVERY = 60.0  # [s]
+
+    def __init__(self) -> None:
+        self.stage, self.begun, self.first, self.said = "", 0.0, 0, 0.0
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """Take note that `done` of `total` of the stage `what` are done."""
+        now = time.monotonic()
+        if what != self.stage:
+            self.stage, self.begun, self.first = what, now, done
+            self.said = self.said or now
+        if now - self.said < self.EVERY or not self.first < done < total:
+            return
+        self.said = now
+        left = (total - done) * (now - self.begun) / (done - self.first)
+        problems.print(f"{escaped(what)}: {done} of {total}, about {left:.0f} s left")
 
 
 def progress() -> Progress:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ..studies.engine import Workers
     from ..studies.journal import Journal
     from ..studies.pareto_front import Search
+    from ..studies.tunables import Tunable, TunedController
     from ..studies.tuning import Grid, TuningProblem
 
 
@@ -151,7 +152,7 @@ def tune(
     from ..studies.journal import Journal
     from ..studies.numbers import PURPOSE
     from ..studies.pareto_front import Search, factors_of, objectives_of
-    from ..studies.tunables import TunedController, ranges_over
+    from ..studies.tunables import TunedController
     from ..studies.tuning import Grid, TuningProblem
 
     sizes = {"population": population, "generations": generations, "held_out": held_out, "seed": seed}
@@ -188,7 +189,7 @@ def tune(
         place = loaded_scenario, fmus, folder
         cases = cases_of(_entries("--case", case, *place), _entries("--hold", hold, *place))
         found = objectives_of(pareto.split(","), problem.quantities, cases)
-        numbers = TunedController(loaded_scenario, fmus, folder, known).tunables(ranges_over(over or []), gain)
+        numbers = _varied(TunedController(loaded_scenario, fmus, folder, known), over, gain)
         factors = factors_of("--limit", limit or [], found), factors_of("--goal", goal or [], found)
         other = dict(_entries("--reference", reference, *place))
         search = Search(found, tuple(numbers), *factors, cases, other, linear=linear, **sizes)
@@ -205,6 +206,15 @@ def tune(
             _follow_the_rule(problem, grid, target, journal, where)
         else:
             _look_for_the_front(problem, search, known, grid, target, journal, where)
+
+
+def _varied(controller: TunedController, over: list[str] | None, gain: bool) -> list[Tunable]:
+    from ..studies.tunables import ranges_over
+
+    numbers = controller.tunables(ranges_over(over or []), gain)
+    if controller.filtered and controller.noises is None and not over:
+        say_notes(["the Kalman filter's gain belongs to no noises, so that these are not varied"])
+    return numbers
 
 
 def _files(search: Search | None) -> tuple[str, ...]:

@@ -11,7 +11,6 @@ from fmpy.model_description import ScalarVariable
 
 from fmu_export.errors import UserError, shown
 from fmu_export.files import FilePath
-from ihc_fmu.pendulum.kalman import KalmanOptions
 
 from .. import wiring
 from ..fmu import Instance
@@ -297,15 +296,16 @@ def _gain_sliders(controller: TunedController | None) -> list[Adjustable]:
 
 def _noise_sliders(controller: TunedController | None) -> list[Adjustable]:
     """Return the noises of the pendulum's Kalman filter, also where it is not used at first."""
-    if controller is None or not controller.pendulum:
+    if controller is None or controller.noises is None:
         return []
     meaning = "noise that the Kalman filter assumes; its gain is computed anew"
-    return [_tuned(controller, n, around(getattr(KalmanOptions(), n), SPREAD), meaning) for n in NOISES]
+    values = {name: getattr(controller.noises, name) for name in NOISES}
+    return [_tuned(controller, name, around(value, SPREAD), meaning, value) for name, value in values.items()]
 
 
-def _tuned(controller: TunedController, name: str, limits: Range, meaning: str) -> Slider:
-    """Return the slider of a number that decides start values."""
-    value = controller.start[name] if name in controller.start else getattr(KalmanOptions(), name)
+def _tuned(controller: TunedController, name: str, limits: Range, meaning: str, value: float | None = None) -> Slider:
+    """Return the slider of a number that decides start values; `value` where the scenario does not use it at first."""
+    value = controller.start[name] if value is None else value
     span = min(limits.low, value), max(limits.high, value)
     made = slider(decided(name), name, controller.unit(name), meaning, float(f"{value:.6g}"), span=span)
     if not Tunable(name, limits).logarithmic:

@@ -19,8 +19,9 @@ from fmu_export.variables import Value, did_you_mean
 from ihc_fmu.design import Design
 from ihc_fmu.inverse import inverse_design
 from ihc_fmu.options import Options
-from ihc_fmu.pendulum.interface import VELOCITY_SOURCES, vector
-from ihc_fmu.pendulum.kalman import KalmanOptions
+from ihc_fmu.pendulum.interface import VELOCITY_SOURCES, kalman_gains, vector
+from ihc_fmu.pendulum.kalman import KalmanOptions, linearize, noises_of
+from ihc_fmu.pendulum.nominal_model import nominal_model
 from ihc_fmu.pendulum.start_values import kalman_values
 
 from ..certified import certified_names
@@ -46,7 +47,7 @@ MUS = Range(0.5, 1.0)
 SCALES = (1 / 3, 10.0)
 """Of u_max, times the design's."""
 SPREAD = (1 / 100, 100.0)
-"""Of the noises, times the usual ones."""
+"""Of the noises, times the present ones."""
 GAINS = (0.5, 2.0)
 """Of the entries of K, times the design's."""
 RATES = (1 / 4, 4.0)
@@ -140,9 +141,22 @@ class TunedController:
         if self.redesigned and self.design is not None:
             values |= {MU: self.design.mu, U_MAX: float(self.design.u_max[0]), ALPHA: self.design.alpha}
             values |= dict(zip(self.gains, self.design.K.ravel().tolist(), strict=True))
-        if self.filtered:
-            values |= {name: getattr(KalmanOptions(), name) for name in NOISES}
+        if self.filtered and self.noises is not None:
+            values |= {name: getattr(self.noises, name) for name in NOISES}
         return values
+
+    @cached_property
+    def noises(self) -> KalmanOptions | None:
+        """The noises that the pendulum's Kalman filter is for; None: there is no such filter, or its gain is for none."""
+        if not self.pendulum:
+            return None
+        M = np.array([float(self.own[name]) for name in kalman_gains()]).reshape(-1, 2)
+        try:
+            return noises_of(
+                M, *linearize(nominal_model(self._nominal(self.own))), float(self.own["kalman_sample_time"])
+            )
+        except UserError:  # no filter for this nominal model
+            return None
 
     @cached_property
     def _plain(self) -> list[str]:
@@ -172,8 +186,7 @@ class TunedController:
         Raises UserError where the gain is not known.
         """
         ranges = self.gain_ranges()
-        if self.filtered:
-            ranges |= {name: around(self.start[name], SPREAD) for name in NOISES}
+        ranges |= self._noise_ranges()
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
     def linear_setting(self, values: Mapping[str, float]) -> Setting:
@@ -191,9 +204,10 @@ class TunedController:
             ranges[U_MAX] = around(self.start[U_MAX], SCALES)
             if self.pendulum:
                 ranges[MU] = MUS
-        if self.filtered:
-            ranges |= {name: around(self.start[name], SPREAD) for name in NOISES}
-        return ranges
+        return ranges | self._noise_ranges()
+
+    def _noise_ranges(self) -> dict[str, Range]:
+        return {name: around(self.start[name], SPREAD) for name in NOISES if name in self.start}
 
     def gain_ranges(self) -> dict[str, Range]:
         """Return the ranges of the gain's entries; raise UserError where they cannot be tuned."""
@@ -277,9 +291,12 @@ class TunedController:
 
     def _kalman(self, values: Mapping[str, float]) -> dict[str, Value]:
         known = {**self.own, **values}
-        nominal = {name: float(value) for name, value in known.items() if name.startswith("nominal_")}
         options = replace(KalmanOptions(), **{name: values[name] for name in NOISES if name in values})
-        return kalman_values(nominal, float(known["sample_time"]), options)
+        return kalman_values(self._nominal(known), float(known["sample_time"]), options)
+
+    @staticmethod
+    def _nominal(values: Mapping[str, Value]) -> dict[str, Value]:
+        return {name: float(value) for name, value in values.items() if name.startswith("nominal_")}
 
 
 def around(value: float, factors: tuple[float, float]) -> Range:

@@ -6,7 +6,7 @@ the motor voltage, and the bias beta of the measured pendulum angle, y = (theta,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 
 import numpy as np
@@ -19,6 +19,11 @@ from .nominal_model import NominalModel
 from .velocity import BIAS_DECAY
 
 Array = np.ndarray
+
+SAME = 1e-6
+"""Two gains that differ by no more than this, relative to the largest entry of its row, are the same."""
+FARTHEST = 15.0
+"""Noises are looked for within this many natural logarithms of the usual ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,3 +63,28 @@ def kalman_gain(A: Array, b: Array, h: float, options: KalmanOptions | None = No
         leak=BIAS_DECAY,
     )
     return kalman_filter(A, b[:, None], np.eye(2, 4), h, noise).M[[0, 1, 2, 3, 4, 6]]
+
+
+def noises_of(M: Array, A: Array, b: Array, h: float) -> KalmanOptions | None:
+    """Return the noises for which `kalman_gain` is M (6, 2), by least squares in their logarithms; None: for none.
+
+    The resolution, which only scales them all, is the usual one. Raises UserError as `kalman_gain`.
+    """
+    from scipy.optimize import least_squares  # noqa: PLC0415 - heavy
+
+    usual = KalmanOptions()
+    names = ("voltage_noise", "disturbance_noise", "bias_noise")
+    sizes = np.maximum(np.abs(M), np.abs(kalman_gain(A, b, h, usual))).max(axis=1, keepdims=True)
+
+    def noises(logs: Array) -> KalmanOptions:
+        return replace(usual, **{n: getattr(usual, n) * float(np.exp(x)) for n, x in zip(names, logs, strict=True)})
+
+    def difference(logs: Array) -> Array:
+        return ((kalman_gain(A, b, h, noises(logs)) - M) / sizes).ravel()
+
+    if np.abs(difference(np.zeros(len(names)))).max() <= SAME:
+        return usual
+    found = least_squares(
+        difference, np.zeros(len(names)), bounds=(-FARTHEST, FARTHEST), xtol=1e-12, ftol=None, gtol=None
+    )
+    return noises(found.x) if np.abs(found.fun).max() <= SAME else None

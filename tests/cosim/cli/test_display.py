@@ -95,3 +95,19 @@ def test_where_colours_are_forced_nothing_moves(monkeypatch):
     with output.status("building"):
         output.print("[red]built[/]")
     assert stream.getvalue() == "\x1b[31mbuilt\x1b[0m\n"
+
+
+def test_where_nothing_moves_long_work_says_a_line_in_a_while(monkeypatch):
+    stream, now = io.StringIO(), [0.0]
+    monkeypatch.setattr(display, "problems", display.Output(stream, file=stream, soft_wrap=True))
+    monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
+    with display.staged_progress() as report:
+        for stage, start in (("first [of two]", 0), ("second", 500)):  # of the second, 500 were finished before
+            for i in range(101):
+                now[0] += 1.0
+                report(stage, start + 5 * i, 1000)
+    assert stream.getvalue().splitlines() == [
+        "first [of two]: 300 of 1000, about 140 s left",
+        "second: 595 of 1000, about 81 s left",
+        "second: 895 of 1000, about 21 s left",
+    ]

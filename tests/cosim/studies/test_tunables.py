@@ -109,6 +109,19 @@ def test_a_filters_noises_become_its_gain(tuned):
     assert changes["controller.start.kalman_M_11"] != usual["controller.start.kalman_M_11"]
 
 
+def test_the_noises_of_a_filter_are_read_from_its_gain(tuned):
+    """So that a search, and a page, go on from a scenario that a search has written."""
+    found = tuned("tilt_sparing").start  # its file says the noises that its gain was made for
+    values = [found[name] for name in NOISES]
+    np.testing.assert_allclose(values, [3.293e-6, 0.0878, 2.29e-9], rtol=1e-6)
+    own = tuned("tilt_kalman", {"controller.start.kalman_M_31": 9.0})
+    assert own.filtered
+    assert own.noises is None
+    assert not {*NOISES} & {t.name for t in own.tunables({})}
+    with pytest.raises(UserError, match=r"controller\.bias_noise cannot be tuned"):
+        own.tunables({"bias_noise": Range(1e-9, 1e-8)})
+
+
 @pytest.mark.parametrize(
     ("over", "sentence"),
     [
