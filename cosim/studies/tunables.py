@@ -30,6 +30,7 @@ from ..pendulum import is_controller
 from ..scenario import Scenario
 from ..scenario_files import files
 from ..scenario_system import build_system
+from ..start_values import StartValue
 from ..unit_definitions import NO_UNIT, unit_of, with_unit
 from ..wiring import CONTROLLER
 from .ranges import Range, range_of
@@ -295,7 +296,7 @@ class TunedController:
         return kalman_values(self._nominal(known), float(known["sample_time"]), options)
 
     @staticmethod
-    def _nominal(values: Mapping[str, Value]) -> dict[str, Value]:
+    def _nominal(values: Mapping[str, StartValue]) -> dict[str, Value]:
         return {name: float(value) for name, value in values.items() if name.startswith("nominal_")}
 
 

@@ -85,6 +85,6 @@ def noises_of(M: Array, A: Array, b: Array, h: float) -> KalmanOptions | None:
     if np.abs(difference(np.zeros(len(names)))).max() <= SAME:
         return usual
     found = least_squares(
-        difference, np.zeros(len(names)), bounds=(-FARTHEST, FARTHEST), xtol=1e-12, ftol=None, gtol=None
+        difference, np.zeros(len(names)), bounds=(-FARTHEST, FARTHEST), ftol=1e-15, xtol=1e-12, gtol=1e-15
     )
     return noises(found.x) if np.abs(found.fun).max() <= SAME else None
