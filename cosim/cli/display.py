@@ -6,6 +6,7 @@ import io
 import math
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -232,23 +233,29 @@ def staged_progress() -> Iterator[Callable[[str, int, int], None]]:
 
 
 class ProgressLines:
-    """Says in lines of its own how far a stage is and how long the rest takes at the pace so far."""
+    """Says in lines of its own how far a stage is, and how long the rest takes at its latest pace."""
 
     EVERY = 60.0  # [s]
+    WINDOW = 30.0  # [s] of the pace: what a journal had is counted at once
 
     def __init__(self) -> None:
-        self.stage, self.begun, self.first, self.said = "", 0.0, 0, 0.0
+        self.stage, self.said = "", time.monotonic()
+        self.latest: deque[tuple[float, int]] = deque()
 
     def __call__(self, what: str, done: int, total: int) -> None:
         """Take note that `done` of `total` of the stage `what` are done."""
         now = time.monotonic()
         if what != self.stage:
-            self.stage, self.begun, self.first = what, now, done
-            self.said = self.said or now
-        if now - self.said < self.EVERY or not self.first < done < total:
+            self.stage = what
+            self.latest.clear()
+        self.latest.append((now, done))
+        while self.latest[0][0] < now - self.WINDOW:
+            self.latest.popleft()
+        begin, first = self.latest[0]
+        if now - self.said < self.EVERY or not first < done < total:
             return
         self.said = now
-        left = (total - done) * (now - self.begun) / (done - self.first)
+        left = (total - done) * (now - begin) / (done - first)
         problems.print(f"{escaped(what)}: {done} of {total}, about {left:.0f} s left")
 
 

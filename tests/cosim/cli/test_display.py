@@ -102,12 +102,12 @@ def test_where_nothing_moves_long_work_says_a_line_in_a_while(monkeypatch):
     monkeypatch.setattr(display, "problems", display.Output(stream, file=stream, soft_wrap=True))
     monkeypatch.setattr(display.time, "monotonic", lambda: now[0])
     with display.staged_progress() as report:
-        for stage, start in (("first [of two]", 0), ("second", 500)):  # of the second, 500 were finished before
+        for stage, kept in (("first [of two]", 0), ("second", 400)):  # of the second, some were finished before
             for i in range(101):
                 now[0] += 1.0
-                report(stage, start + 5 * i, 1000)
+                report(stage, min(i, 5) * kept // 5 + 5 * i, 1000)
     assert stream.getvalue().splitlines() == [
-        "first [of two]: 300 of 1000, about 140 s left",
-        "second: 595 of 1000, about 81 s left",
-        "second: 895 of 1000, about 21 s left",
+        "first [of two]: 295 of 1000, about 141 s left",
+        "second: 490 of 1000, about 19 s left",  # at a pace with those that were finished before
+        "second: 790 of 1000, about 42 s left",
     ]
