@@ -53,7 +53,13 @@ FIRST = ("a_min", "b_max", MU)
 """What comes first on the page, in this order."""
 REST = ("law", "enabled")
 """Parameters of a controller that are not set: the laws stand side by side, and a controller that is off is none."""
-ESTIMATOR = ("velocity_source", "velocity_filter_cutoff", "observer_acceleration_noise", "compensate_disturbance")
+ESTIMATOR = (
+    "velocity_source",
+    "velocity_filter_cutoff",
+    "observer_acceleration_noise",
+    "kalman_count_weight",
+    "compensate_disturbance",
+)
 """Parameters of a controller that are its estimator's."""
 EXTENT = {"rad": 0.5, "rad/s": 5.0, "m": 0.5, "m/s": 2.0}
 """To where an initial state can be moved at least, by its unit; others to 1."""

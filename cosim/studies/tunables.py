@@ -47,6 +47,9 @@ A_MIN, B_MAX = Range(0.05, 1.0), Range(1.0, 5.0)
 MUS = Range(0.5, 1.0)
 SCALES = (1 / 3, 10.0)
 """Of u_max, times the design's."""
+COUNT_WEIGHT = "kalman_count_weight"
+"""Of the pendulum's Kalman filter: of what of an innovation is within half a count."""
+WEIGHTS = Range(0.4, 1.0)
 SPREAD = (1 / 100, 100.0)
 """Of the noises, times the present ones."""
 GAINS = (0.5, 2.0)
@@ -182,17 +185,17 @@ class TunedController:
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
     def of_linear(self) -> list[Tunable]:
-        """Return what is tuned of the law LC: its K, and the noises of the pendulum's Kalman filter where that is used.
+        """Return what is tuned of the law LC: its K, and the pendulum's Kalman filter where that is used.
 
         Raises UserError where the gain is not known.
         """
         ranges = self.gain_ranges()
-        ranges |= self._noise_ranges()
+        ranges |= self._filter_ranges()
         return [self._tunable(name, limits) for name, limits in ranges.items()]
 
     def linear_setting(self, values: Mapping[str, float]) -> Setting:
         """Return what these values change for the law LC, which needs no design."""
-        plain: dict[str, Value] = {name: value for name, value in values.items() if name in self.gains}
+        plain: dict[str, Value] = {name: value for name, value in values.items() if name in {*self.gains, COUNT_WEIGHT}}
         if any(name in values for name in NOISES):
             plain |= self._kalman({**self.start, **values})
         changes = {**self.linear(), **_entries(plain)}
@@ -205,10 +208,11 @@ class TunedController:
             ranges[U_MAX] = around(self.start[U_MAX], SCALES)
             if self.pendulum:
                 ranges[MU] = MUS
-        return ranges | self._noise_ranges()
+        return ranges | self._filter_ranges()
 
-    def _noise_ranges(self) -> dict[str, Range]:
-        return {name: around(self.start[name], SPREAD) for name in NOISES if name in self.start}
+    def _filter_ranges(self) -> dict[str, Range]:
+        noises = {name: around(self.start[name], SPREAD) for name in NOISES if name in self.start}
+        return {**noises, COUNT_WEIGHT: WEIGHTS} if self.filtered and COUNT_WEIGHT in self.start else noises
 
     def gain_ranges(self) -> dict[str, Range]:
         """Return the ranges of the gain's entries; raise UserError where they cannot be tuned."""

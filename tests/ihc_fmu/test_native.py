@@ -439,11 +439,12 @@ def test_step_that_does_not_fit_the_sample_time_is_refused_by_both_with_the_same
     [
         ({}, {}, Mode.STABILIZING),
         ({"noise_std": 1e-4}, {"velocity_source": KALMAN, "discretization": 2, "norm_solver": 2, "a_min": 0.5}, None),
+        ({"delta_0": 0.1}, {"velocity_source": KALMAN, "kalman_count_weight": 0.6}, Mode.STABILIZING),
         ({"delta_0": 0.1, "encoder_counts": 0}, {"velocity_source": INPUT, "a_min": 0.2}, Mode.STABILIZING),
         ({"delta_0": -0.1, "motor_model": 2}, {"law": LAW["SMC"]}, Mode.STABILIZING),
         ({"delta_0": 0.1, "measurement_delay": 2e-3}, {"law": LAW["LC"]}, Mode.STABILIZING),
     ],
-    ids=["from hanging", "from hanging with Kalman filter", "ideal", "SMC", "LC with delay"],
+    ids=["from hanging", "from hanging with Kalman filter", "part of a count", "ideal", "SMC", "LC with delay"],
 )
 def test_closed_loop_of_the_native_fmus_equals_that_of_the_python_units(
     of_plant, of_controller, ends, exported, instance, controller

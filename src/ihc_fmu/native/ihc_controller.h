@@ -80,7 +80,8 @@ typedef struct {
     double kalman_angle;                       /* beyond it the observer's gains are used [rad] */
     int compensate_disturbance;                /* [Boolean] */
     double observer_acceleration_noise;        /* [rad2/s3] */
-    double observer_resolution;                /* [rad] */
+    double observer_resolution;                /* of the encoders: a count [rad] */
+    double kalman_count_weight;                /* of an innovation within half a count in the Kalman filter [1] */
 } ihc_params;
 
 typedef struct {

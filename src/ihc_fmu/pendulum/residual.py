@@ -63,6 +63,11 @@ def angle_rms(found: Residual) -> float:
 
 def _kalman(values: Mapping[str, Any], K: Array, h: float) -> SampledController:
     """Return the law on the Kalman filter's estimates, of whose biases only the pendulum's is estimated."""
+    if values["kalman_count_weight"] != 1.0:
+        raise UserError(
+            "the residual set is that of a linear filter, kalman_count_weight = 1, found "
+            f"{values['kalman_count_weight']:g}"
+        )
     A, b = linearize(nominal_model(values))
     F, G = held(A, b[:, None], h)
     M = np.array([values[name] for name in kalman_gains()], dtype=float).reshape(6, 2)

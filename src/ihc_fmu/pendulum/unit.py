@@ -133,6 +133,7 @@ class IhcControllerUnit(SampledUnit):
         values = self.values
         entries = [values[name] for name in kalman_gains()]
         self.kalman_M = list(zip(entries[::2], entries[1::2], strict=True))
+        self.count: tuple[float, float] = values["observer_resolution"], values["kalman_count_weight"]
         self.compensate: bool = values["compensate_disturbance"]
         self.kalman_angle: float = values["kalman_angle"]
         gain_time: float = values["kalman_sample_time"]
@@ -252,8 +253,9 @@ class IhcControllerUnit(SampledUnit):
             state.disturbance = state.bias = 0.0
             state.observed = velocity.observe(self.model, self.gains, state.observed, state.voltage, h, theta, delta)
         else:
+            last = state.observed, state.disturbance, state.bias
             observed, disturbance, bias = velocity.kalman_step(
-                self.model, self.kalman_M, state.observed, state.disturbance, state.bias, state.voltage, h, theta, delta
+                self.model, self.kalman_M, self.count, *last, state.voltage, h, theta, delta
             )
             if not math.isfinite(disturbance + bias):
                 raise OverflowError("the Kalman filter left the range of numbers")

@@ -71,9 +71,20 @@ def observe(
     )
 
 
+def weighed(e: float, count: float, weight: float) -> float:
+    """Return the innovation `e` [rad] less what counting alone explains of it: (1 - weight) sat(e), sat to half a count.
+
+    `count` is the encoders' resolution [rad], `weight` in [0, 1]; 1 leaves every innovation as it is.
+    """
+    half = 0.5 * count
+    within = half if e > half else -half if e < -half else e
+    return e - (1.0 - weight) * within
+
+
 def kalman_step(
     model: NominalModel,
     M: Sequence[Sequence[float]],
+    count: tuple[float, float],
     x: State,
     disturbance: float,
     bias: float,
@@ -85,11 +96,12 @@ def kalman_step(
     """Return the new (x, disturbance [V], bias [rad]) from the last ones and the measured angles.
 
     The nominal model predicts x under the `voltage` that was applied plus the disturbance, the bias decays; the errors of
-    theta and of delta + bias correct all six by the constant gain M (6, 2) of `kalman.kalman_gain`.
+    theta and of delta + bias correct all six by the constant gain M (6, 2) of `kalman.kalman_gain`, each `weighed` with
+    `count`, the resolution [rad] and the weight of what is within half of it.
     """
     p = predict(model, *x, voltage + disturbance, h)
     bias *= exp(-BIAS_DECAY * h)
-    e_1, e_2 = theta - p[0], delta - (p[1] + bias)
+    e_1, e_2 = weighed(theta - p[0], *count), weighed(delta - (p[1] + bias), *count)
     predicted = (*p, disturbance, bias)
     theta, delta, theta_dot, delta_dot, disturbance, bias = [
         flushed(value + (row[0] * e_1 + row[1] * e_2), LEAST_ESTIMATE) for value, row in zip(predicted, M, strict=True)

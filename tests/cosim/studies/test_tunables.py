@@ -7,7 +7,7 @@ from cosim.errors import UserError
 from cosim.scenario import load_scenario
 from cosim.scenario_system import build_system, controller_design
 from cosim.studies.ranges import Range
-from cosim.studies.tunables import NOISES, Tunable, TunedController, ranges_over
+from cosim.studies.tunables import COUNT_WEIGHT, NOISES, Tunable, TunedController, ranges_over
 from cosim.system_export import export_system
 from ihc_fmu import System, inverse_design
 from ihc_fmu.design import Design
@@ -57,7 +57,7 @@ def test_shares_and_values_are_each_others_inverse_and_evenly_spread(low_high):
 
 
 def test_the_usual_numbers_are_those_that_act(tuned, cart):
-    assert [t.name for t in tuned().tunables({})] == ["a_min", "b_max", "u_max", "mu", *NOISES]
+    assert [t.name for t in tuned().tunables({})] == ["a_min", "b_max", "u_max", "mu", *NOISES, COUNT_WEIGHT]
     assert [t.name for t in tuned("tilt").tunables({})] == ["a_min", "b_max", "u_max", "mu"]
     assert [t.name for t in cart.tunables({}, gain=True)] == ["a_min", "b_max", "u_max", "K_1_1", "K_1_2", "alpha"]
     assert [t.name for t in cart.tunables({"b_max": Range(1.0, 2.0)})] == ["b_max"]
@@ -117,7 +117,7 @@ def test_the_noises_of_a_filter_are_read_from_its_gain(tuned):
     own = tuned("tilt_kalman", {"controller.start.kalman_M_31": 9.0})
     assert own.filtered
     assert own.noises is None
-    assert not {*NOISES} & {t.name for t in own.tunables({})}
+    assert [t.name for t in own.tunables({})] == ["a_min", "b_max", "u_max", "mu", COUNT_WEIGHT]
     with pytest.raises(UserError, match=r"controller\.bias_noise cannot be tuned"):
         own.tunables({"bias_noise": Range(1e-9, 1e-8)})
 

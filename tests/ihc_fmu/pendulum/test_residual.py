@@ -47,6 +47,7 @@ def test_the_bound_is_proven_down_to_the_a_min_at_which_the_estimate_leaves_the_
     [
         ({"law": "SMC"}, "LC or IHC, found SMC"),
         ({"velocity_source": "inputs"}, "kalman or filter, found inputs"),
+        ({**KALMAN, "kalman_count_weight": 0.7}, "kalman_count_weight = 1, found 0.7"),
     ],
 )
 def test_others_are_refused(design, changes, message):
