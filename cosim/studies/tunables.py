@@ -48,7 +48,7 @@ MUS = Range(0.5, 1.0)
 SCALES = (1 / 3, 10.0)
 """Of u_max, times the design's."""
 COUNT_WEIGHT = "kalman_count_weight"
-"""Of the pendulum's Kalman filter: of what of an innovation is within half a count."""
+"""Of a Kalman filter: of what of an innovation is within half a count."""
 WEIGHTS = Range(0.4, 1.0)
 SPREAD = (1 / 100, 100.0)
 """Of the noises, times the present ones."""
@@ -212,7 +212,8 @@ class TunedController:
 
     def _filter_ranges(self) -> dict[str, Range]:
         noises = {name: around(self.start[name], SPREAD) for name in NOISES if name in self.start}
-        return {**noises, COUNT_WEIGHT: WEIGHTS} if self.filtered and COUNT_WEIGHT in self.start else noises
+        weighs = COUNT_WEIGHT in self.start and (self.filtered or not self.pendulum)
+        return {**noises, COUNT_WEIGHT: WEIGHTS} if weighs else noises
 
     def gain_ranges(self) -> dict[str, Range]:
         """Return the ranges of the gain's entries; raise UserError where they cannot be tuned."""

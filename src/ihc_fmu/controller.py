@@ -59,7 +59,8 @@ def regulator_of(design: Design) -> Regulator:
 
 def _kalman(design: Design) -> LinearFilter:
     kalman = estimator(design)
-    return LinearFilter(F=kalman.F, G=kalman.G, C=np.asarray(design.system.C), M=kalman.M, decay=kalman.decay)
+    C, counts = np.asarray(design.system.C), np.asarray(design.system.resolutions)
+    return LinearFilter(F=kalman.F, G=kalman.G, C=C, M=kalman.M, decay=kalman.decay, counts=counts)
 
 
 class Controller:

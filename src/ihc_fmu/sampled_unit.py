@@ -50,6 +50,16 @@ def flushed(value: float, least: float) -> float:
     return 0.0 if 0.0 < abs(value) < least else value
 
 
+def weighed(e: float, count: float, weight: float) -> float:
+    """Return e - (1 - weight) sat(e), sat to half a count: a Kalman filter's innovation less what counting alone explains.
+
+    `count` is the sensor's resolution, 0 for none, in the unit of `e`; `weight` in [0, 1], 1 leaves innovations as they are.
+    """
+    half = 0.5 * count
+    within = half if e > half else -half if e < -half else e
+    return e - (1.0 - weight) * within
+
+
 def check_step(sample_time: float, step: float) -> None:
     """Raise UserError where neither the sample time nor the communication step [s] is a multiple of the other."""
     ratio = step / sample_time if step > sample_time else sample_time / step

@@ -99,6 +99,14 @@ static inline double flushed(double value, double least)
     return fabs(value) > 0.0 && fabs(value) < least ? 0.0 : value;
 }
 
+/* The innovation e of a Kalman filter, of which what is within half a count has a weight of its own. */
+static inline double weighed(double e, double count, double weight)
+{
+    const double half = 0.5 * count;
+    const double within = e > half ? half : e < -half ? -half : e;
+    return e - (1.0 - weight) * within;
+}
+
 /* The value, of which the compiler knows nothing: it then computes no function or quotient before the argument has been
  * found admissible, which it else does, to discard the result. A host may have unmasked floating-point exceptions. */
 static inline double opaque(double value)

@@ -78,6 +78,8 @@ typedef struct {
     double S[BLOCK_GAINS];                           /* (m, n), sliding surfaces s = S e of the super-twisting law */
     double Ks[BLOCK_GAINS];                          /* (m, n), its linear part */
     double sta_rate[REGULATOR_INPUTS];               /* L of its k_1 = 1.5 sqrt(L), k_2 = 1.1 L */
+    double count[REGULATOR_OUTPUTS];                 /* resolution of a sensor, 0 for none */
+    double kalman_count_weight;                      /* of what of an innovation is within half a count [1] */
 } regulator_params;
 
 typedef struct {

@@ -123,21 +123,14 @@ static void observe(const ihc_params *p, const ihc_prepared *q, ihc_state *s, do
     s->observed[3] = flushed(y[3] + q->observer_gain[1] * e_delta, LEAST_ESTIMATE);
 }
 
-/* An innovation, of which what is within half a count has a weight of its own: counting alone explains it. */
-static double weighed(const ihc_params *p, double e)
-{
-    const double half = 0.5 * p->observer_resolution;
-    const double within = e > half ? half : e < -half ? -half : e;
-    return e - (1.0 - p->kalman_count_weight) * within;
-}
-
 /* The same with disturbance and bias as states and the gain M. */
 static void kalman_step(const ihc_params *p, const ihc_prepared *q, ihc_state *s, double theta, double delta)
 {
     double y[4], corrections[6];
     predict(p, q, s->observed, s->voltage + s->disturbance, y);
     const double bias = s->bias * q->bias_decay;
-    const double e_1 = weighed(p, theta - y[0]), e_2 = weighed(p, delta - (y[1] + bias));
+    const double count = p->observer_resolution, weight = p->kalman_count_weight;
+    const double e_1 = weighed(theta - y[0], count, weight), e_2 = weighed(delta - (y[1] + bias), count, weight);
     for (int i = 0; i < 6; i++) {
         corrections[i] = p->kalman_M[i][0] * e_1 + p->kalman_M[i][1] * e_2;
     }

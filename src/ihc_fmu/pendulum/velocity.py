@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp, sqrt
 
-from ..sampled_unit import LEAST, LEAST_ESTIMATE, flushed
+from ..sampled_unit import LEAST, LEAST_ESTIMATE, flushed, weighed
 from .nominal_model import NominalModel, predict
 
 State = tuple[float, float, float, float]
@@ -69,16 +69,6 @@ def observe(
         flushed(p_theta_dot + beta * e_theta, LEAST_ESTIMATE),
         flushed(p_delta_dot + beta * e_delta, LEAST_ESTIMATE),
     )
-
-
-def weighed(e: float, count: float, weight: float) -> float:
-    """Return the innovation `e` [rad] less what counting alone explains of it: (1 - weight) sat(e), sat to half a count.
-
-    `count` is the encoders' resolution [rad], `weight` in [0, 1]; 1 leaves every innovation as it is.
-    """
-    half = 0.5 * count
-    within = half if e > half else -half if e < -half else e
-    return e - (1.0 - weight) * within
 
 
 def kalman_step(

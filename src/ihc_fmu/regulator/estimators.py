@@ -10,17 +10,22 @@ from typing import NamedTuple
 
 from ..homogeneity import Exponents
 from ..linear_algebra import Matrix, Vector, dot, solve, transpose
-from ..sampled_unit import LEAST_ESTIMATE, flushed
+from ..sampled_unit import LEAST_ESTIMATE, flushed, weighed
 
 
 class KalmanFilter(NamedTuple):
-    """x+ = F x + G (u + d), d+ = d, b+ = decay b, y = C x + b, with the constant gain M (n + m + p, p) of the innovation."""
+    """x+ = F x + G (u + d), d+ = d, b+ = decay b, y = C x + b, with the constant gain M (n + m + p, p) of the innovation.
+
+    What of an innovation is within half of a sensor's count, `counts` (p,), has the `weight`.
+    """
 
     F: Matrix
     G: Matrix
     C: Matrix
     M: Matrix
     decay: float
+    counts: Vector
+    weight: float
 
 
 class Estimate(NamedTuple):
@@ -39,7 +44,10 @@ def kalman_step(f: KalmanFilter, last: Estimate, u: Vector, y: Vector) -> Estima
     driven = [u_i + d_i for u_i, d_i in zip(u, last.d, strict=True)]
     x = [dot(f_i, last.x) + dot(g_i, driven) for f_i, g_i in zip(f.F, f.G, strict=True)]
     b = [f.decay * b_i for b_i in last.b]
-    innovation = [y_i - (dot(c_i, x) + b_i) for y_i, c_i, b_i in zip(y, f.C, b, strict=True)]
+    innovation = [
+        weighed(y_i - (dot(c_i, x) + b_i), count, f.weight)
+        for y_i, c_i, b_i, count in zip(y, f.C, b, f.counts, strict=True)
+    ]
     predicted = [*x, *last.d, *b]
     corrected = [
         flushed(value + dot(row, innovation), LEAST_ESTIMATE) for value, row in zip(predicted, f.M, strict=True)

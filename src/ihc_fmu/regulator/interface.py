@@ -184,6 +184,14 @@ INTERFACE = Interface(
             _tunable(entry, 0.0, "L of the super-twisting law: largest rate of a disturbance that it rejects", min=0.0)
             for entry in numbered("sta_rate", INPUTS)
         ],
+        *_entries("count", OUTPUTS, "resolution of this output's sensor, 0 for none"),
+        _fixed(
+            "kalman_count_weight",
+            1.0,
+            "weight in the Kalman filter of what of an innovation is within half a count of its sensor",
+            min=0.0,
+            max=1.0,
+        ),
     ),
     step_size=1e-3,
     stop_time=1.0,
@@ -251,6 +259,7 @@ def shown_interface(shape: Shape) -> Interface:
             *_named(shape.inputs, "disturbance_estimate", "{}_disturbance_estimate", "disturbance that adds to {}"),
             *_named(shape.outputs, "bias_estimate", "{}_bias_estimate", "bias of the measured {}", shape.biases),
             table["compensate_disturbance"],
+            table["kalman_count_weight"],
         ]
     _check_names([v.name for v in variables], shape.name)
     place = {v.name: i for i, v in enumerate(INTERFACE.variables)}

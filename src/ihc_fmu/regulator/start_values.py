@@ -27,7 +27,7 @@ class LinearFilter:
     """A Kalman filter for one sample time: x+ = F x + G (u + d), d+ = d, b+ = decay b, y = C x + b.
 
     F (n, n), G (n, m), C (p, n), M (n + m + p, p): corrections of x, d, b by the innovation y - (C x + b); rows of what is
-    not estimated are 0. decay in [0, 1].
+    not estimated are 0. decay in [0, 1]. `counts` (p,): resolutions of the sensors, 0 for none, as by default.
     """
 
     F: Array
@@ -35,6 +35,7 @@ class LinearFilter:
     C: Array
     M: Array
     decay: float = 1.0
+    counts: Array = _DEFAULT
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -144,6 +145,7 @@ class Regulator:
             arrays |= {"C": f.C, "first": np.linalg.pinv(f.C)}
         if isinstance(f, LinearFilter):
             arrays |= {"F": f.F, "G": f.G, "M": f.M}
+            arrays |= {"count": np.zeros(p) if f.counts is None else f.counts}
             values |= {"bias_decay": f.decay, "filter_sample_time": self.sample_time}
         if isinstance(f, Observer):
             arrays |= {"F": f.A, "G": f.B, "To": f.T, "L0": f.L_0, "Lz": np.linalg.solve(f.T.T, f.L - f.L_0)}

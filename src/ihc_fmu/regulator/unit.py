@@ -155,7 +155,8 @@ class HomogeneousControllerUnit(SampledUnit):
         if self.estimator == "homogeneous_observer":
             self._take_observer(F, G, C)
             return
-        self.filter = KalmanFilter(F, G, C, self._matrix("M", n + m + p, p), self.values["bias_decay"])
+        M, counts = self._matrix("M", n + m + p, p), self._vector("count", p)
+        self.filter = KalmanFilter(F, G, C, M, self.values["bias_decay"], counts, self.values["kalman_count_weight"])
         gain_time = self.values["filter_sample_time"]
         if abs(gain_time - self.sample_time) > 1e-9 * self.sample_time:
             raise UserError(

@@ -10,7 +10,7 @@ from scipy.signal import cont2discrete, dlsim
 
 from ihc_fmu.pendulum.nominal_model import nominal_model, predict
 from ihc_fmu.pendulum.start_values import nominal_values
-from ihc_fmu.pendulum.velocity import alpha_beta_gains, filter_decay, filter_velocity, observe, weighed
+from ihc_fmu.pendulum.velocity import alpha_beta_gains, filter_decay, filter_velocity, observe
 from plant_fmu.parameters import parameter_set
 
 
@@ -86,13 +86,3 @@ def test_observer_corrects_each_channel_by_its_own_error():
     p = predict(m, *x, 1.0, 1e-3)
     estimate = observe(m, (0.25, 30.0), x, 1.0, 1e-3, p[0] + 0.01, p[1] - 0.02)
     assert np.subtract(estimate, p) == pytest.approx([0.0025, -0.005, 0.3, -0.6], rel=1e-9)
-
-
-def test_of_an_innovation_what_is_within_half_a_count_has_the_weight():
-    count, weight = 0.003, 0.6
-    for e in (0.0, 1e-3, -1.5e-3):
-        assert weighed(e, count, weight) == pytest.approx(weight * e, rel=1e-12)
-    for e in (2e-3, -0.5):
-        assert weighed(e, count, weight) == pytest.approx(e - np.sign(e) * (1.0 - weight) * count / 2.0, rel=1e-12)
-    for e in (0.0, 1e-3, -0.1, 1e300):
-        assert weighed(e, count, 1.0) == e

@@ -123,7 +123,8 @@ def random_regulator(n, m, p=0, mu=1.0, seed=0, *, observed=0, integral=False, s
         M = 0.05 * rng.normal(size=(n + m + p, p))
         M[n + m : -1] = 0.0
         C = rng.normal(size=(p, n))
-        rest["filter"] = LinearFilter(F=block[:n, :n], G=block[:n, n:], C=C, M=M, decay=0.999)
+        counts = np.where(np.arange(p) % 2, 0.0, 0.3)  # without a weight for them it is the linear filter
+        rest["filter"] = LinearFilter(F=block[:n, :n], G=block[:n, n:], C=C, M=M, decay=0.999, counts=counts)
     if integral:
         rest["K_i"] = -system.B.T @ system.P
     if set_points:

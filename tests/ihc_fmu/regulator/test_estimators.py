@@ -1,4 +1,4 @@
-"""The homogeneous observer: the authors' toolbox, the linear observer as a special case, convergence."""
+"""The homogeneous observer: the toolbox, the linear observer as a special case, convergence; an innovation weighed."""
 
 from typing import Any
 
@@ -8,6 +8,7 @@ from scipy.linalg import expm
 
 from ihc_fmu.block_form import block_form
 from ihc_fmu.regulator.estimators import HomogeneousObserver, observer_gain, observer_step
+from ihc_fmu.sampled_unit import weighed
 from tests.ihc_fmu.reference import SYSTEMS
 
 H = 1e-3
@@ -87,3 +88,13 @@ def test_error_vanishes_sooner_than_that_of_the_linear_observer():
 
     linear, homogeneous = error(0.0), error(-0.2)
     assert homogeneous[0] < 0.1 * linear[0]
+
+
+def test_of_an_innovation_what_is_within_half_a_count_has_the_weight():
+    count, weight = 0.003, 0.6
+    for e in (0.0, 1e-3, -1.5e-3):
+        assert weighed(e, count, weight) == pytest.approx(weight * e, rel=1e-12)
+    for e in (2e-3, -0.5):
+        assert weighed(e, count, weight) == pytest.approx(e - np.sign(e) * (1.0 - weight) * count / 2.0, rel=1e-12)
+    for e in (0.0, 1e-3, -0.1, 1e300):
+        assert weighed(e, count, 1.0) == e

@@ -41,7 +41,7 @@ def test_every_size_and_kind_is_the_same(n, m, both):
         mu = (1.0, 0.5, 0.3, 0.0)[(n + i) % 4]
         regulator = random_regulator(n, m, **kind, mu=mu, seed=i)
         rates = {f"sta_rate_{j + 1}": 10.0 ** (j - 3) for j in range(m)}
-        pair = both({**regulator.values(), **rates, "a_min": 0.2, "b_max": 5.0})
+        pair = both({**regulator.values(), **rates, "a_min": 0.2, "b_max": 5.0, "kalman_count_weight": 0.6})
         rows = measured(regulator, 48)
         modes, commands = set(), set()
         for law, solver, discretization in itertools.product((LC, IHC, STA), (1, 2), (1, 2)):
