@@ -49,8 +49,12 @@ class MetricMeaning:
         if math.isnan(value):
             return "never" if self.never else "–"
         if value < self.zero:
-            return f"< {self.zero:g}"
+            return f"< {self.zero:g}" if self.zero > TINY else "0"
         return f"{value:.4g}"
+
+
+TINY = 1e-100
+"""A level below which an error that counts as zero is told as 0."""
 
 
 @dataclass(frozen=True)

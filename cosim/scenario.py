@@ -37,6 +37,8 @@ BUILT_IN = Path(__file__).parent / "scenarios"
 NONE = "none"
 """What TOML, which has no null, says for nothing."""
 
+GAIN = "disturbance.gain"
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -238,7 +240,10 @@ class Scenario(_Section):
                 place = _inside(place, parent, path)
             _inside(place, last, path, new=True)
             place[int(last) if isinstance(place, list) else last] = value
-        return _validated(data, self.name)
+        made = _validated(data, self.name)
+        if GAIN in changes and made.disturbance.gain and not made.disturbance.sines:
+            raise UserError(f"{GAIN} has no effect in a scenario whose disturbance has no sines, found {changes[GAIN]}")
+        return made
 
     def to_toml(self) -> str:
         """Return the scenario as the text of a TOML file; `load_scenario` reads back the same but for the file's name.

@@ -113,8 +113,9 @@ def tune(
     reference: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="ENTRY=VALUE",
-            help="What the LC of the comparison has otherwise, e.g. `controller.velocity_source=filter`; may be repeated.",
+            metavar="ENTRY=VALUE or SCENARIO",
+            help="What the LC of the comparison has otherwise, e.g. `controller.velocity_source=filter`, or all that the "
+            "controller of another scenario has, e.g. `tilt`; may be repeated.",
         ),
     ] = None,
     population: Annotated[int | None, typer.Option(help="Points of a generation; none: 32.")] = None,
@@ -183,7 +184,7 @@ def tune(
         loaded_scenario, folder, fmus, known if pendulum else own_design, measure, limit_of_chattering, draws
     )
     problem.check_tunable()
-    target = output or Path("results") / f"tune_{loaded_scenario.name}"
+    target = _target(output, scenario, loaded_scenario.name)
     search = None
     if pareto is not None:
         place = loaded_scenario, fmus, folder
@@ -191,7 +192,7 @@ def tune(
         found = objectives_of(pareto.split(","), problem.quantities, cases)
         numbers = _varied(TunedController(loaded_scenario, fmus, folder, known), over, gain)
         factors = factors_of("--limit", limit or [], found), factors_of("--goal", goal or [], found)
-        other = dict(_entries("--reference", reference, *place))
+        other = _reference(reference or [], *place)
         search = Search(found, tuple(numbers), *factors, cases, other, linear=linear, **sizes)
         problem = replace(problem, measure=search.objectives[0].quantity.name)
     check_replaceable(*(target / name for name in _files(search)))
@@ -215,6 +216,14 @@ def _varied(controller: TunedController, over: list[str] | None, gain: bool) -> 
     if controller.filtered and controller.noises is None and not over:
         say_notes(["the Kalman filter's gain belongs to no noises, so that these are not varied"])
     return numbers
+
+
+def _target(output: Path | None, scenario: str, name: str) -> Path:
+    """Return the folder to write to; raise UserError where the scenario lies there that the search would replace."""
+    target, path = output or Path("results") / f"tune_{name}", Path(scenario)
+    if path.suffix == ".toml" and path.resolve() == (target / "best.toml").resolve():
+        raise UserError(f"the search of {scenario} would replace it by its result; --output names another folder")
+    return target
 
 
 def _files(search: Search | None) -> tuple[str, ...]:
@@ -274,6 +283,21 @@ def _entries(
         name, colon, entry = text.rpartition(":")
         pairs.append((f"{name}{colon}{entry_of(entry, scenario, fmus, folder)}", value))
     return pairs
+
+
+def _reference(items: list[str], scenario: Scenario, fmus: Path, folder: Path | None) -> dict[str, Any]:
+    """Return what the LC of the comparison has otherwise: entries, and the controllers of scenarios, in their order."""
+    from ..scenario import load_located
+    from ..studies.tunables import controller_over
+
+    found: dict[str, Any] = {}
+    for item in items:
+        if "=" in item:
+            found |= _entries("--reference", [item], scenario, fmus, folder)
+            continue
+        other, beside, others = load_located(item, fmus)
+        found |= controller_over((other, others, beside), (scenario, fmus, folder))
+    return found
 
 
 def _numbers(option: str, text: str) -> tuple[float, ...]:

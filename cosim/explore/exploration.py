@@ -23,13 +23,14 @@ from ..metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
 from ..names import is_plain
 from ..prepared import Prepared
+from ..remarks import remarks_before
 from ..report.charts import Plots
 from ..results import Result, SimulationError
 from ..rig import Progress
 from ..scenario import Scenario
 from ..scenario_files import portable
 from ..scenario_run import run_scenario, with_tolerances
-from ..scenario_system import evaluation
+from ..scenario_system import build_system, evaluation
 from ..studies.estimates import MeanEstimate, change_text
 from ..studies.experiments import LAW, check_outputs, laws_of
 from ..studies.tunables import MU, Setting
@@ -196,6 +197,8 @@ class Exploration:
         if named and setting is not None:  # the pendulum's controller takes the rest from the design's file
             changes = {**setting.plain, **{entry: v for entry, v in values.items() if entry not in self._decided}}
             changes["controller.design"] = None
+        asked = self.base.changed(changes)
+        remarks_before(build_system(asked, self.fmus, self.folder), asked)  # raises UserError as a run would
         moved, beside = portable(self.base.changed(changes), self.fmus, self.folder)
         with staging(folder) as place:
             for file, path in beside.items():

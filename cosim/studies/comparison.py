@@ -23,7 +23,7 @@ from ..scenario import Scenario
 from ..tables import mark
 from .described import csv_row, pair, save_described
 from .draws import PENDULUM, Chance, drawn
-from .estimates import MeanEstimate, change, change_text, estimate_text, mean, rms_change, root_mean_square
+from .estimates import MeanEstimate, change_of, change_text, estimate_text, mean, root_mean_square
 
 if TYPE_CHECKING:
     from ihc_fmu.design import Design
@@ -354,9 +354,7 @@ class Comparison:
         if none or (quantity.of_window and not (self.steady(law) and self.steady(base))):
             return MeanEstimate(math.nan)
         values, bases = (np.array([of[n] for n in both]) for of in numbers)
-        if quantity.role == "rms" and max(np.max(values, initial=0.0), np.max(bases, initial=0.0)) < quantity.zero:
-            return MeanEstimate(math.nan)
-        return rms_change(values, bases) if quantity.over_draws == "rms" else change(values, bases)
+        return change_of(values, bases, quantity)
 
     def _number(self, draw: Draw, name: str) -> float:
         value = float(draw.metrics.values[name])

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..metric_meanings import MetricMeaning
 from .comparison import UNSTEADY
-from .estimates import MeanEstimate, change, mean, rms_change, root_mean_square
+from .estimates import MeanEstimate, change_of, mean, root_mean_square
 from .numbers import Numbers
 
 NOTHING = MeanEstimate(math.nan)
@@ -45,7 +45,7 @@ def change_over(draws: Sequence[Numbers], base: Sequence[Numbers], q: MetricMean
     """Return by which part the metric's mean lies above that of `base`, in the same draws, over those that both kept."""
     both = [(a, b) for a, b in zip(draws, base, strict=True) if a.get("kept") and b.get("kept")]
     pairs = np.array([[_number(draw, q) for draw in pair] for pair in both]).reshape(-1, 2)
-    return (rms_change if q.over_draws == "rms" else change)(pairs[:, 0], pairs[:, 1])
+    return change_of(pairs[:, 0], pairs[:, 1], q)
 
 
 def _number(draw: Numbers, q: MetricMeaning) -> float:

@@ -10,6 +10,8 @@ import numpy as np
 
 from ihc_fmu.arrays import QUIET
 
+from ..metric_meanings import MetricMeaning
+
 Array = np.ndarray
 
 CONFIDENCE = 0.95
@@ -100,6 +102,15 @@ def rms_change(values: Array, base: Array) -> MeanEstimate:
     return MeanEstimate(ratio - 1.0, squares.half_width / (2.0 * ratio) if ratio else squares.half_width)
 
 
+def change_of(values: Array, base: Array, q: MetricMeaning) -> MeanEstimate:
+    """Return the change of a metric's mean over `base`, from the same draws; NaN where both errors at rest count as zero."""
+    if q.over_draws != "rms":
+        return change(values, base)
+    if len(values) and all(math.sqrt(np.mean(of**2)) < q.zero for of in (values, base)):
+        return MeanEstimate(math.nan)
+    return rms_change(values, base)
+
+
 def _half_width(values: Array) -> float:
     from scipy.stats import t  # noqa: PLC0415 - heavy
 
@@ -139,6 +150,7 @@ def change_text(estimate: MeanEstimate) -> str:
         return f"{shown}{unit} {VERDICTS[estimate.decided]}"
     digits = min(3, decimals(factor * half))
     shown = f"× {1.0 + value:.{digits}f}" if value > 9.0 else f"{100.0 * value:+.{digits}f}"
+    shown = shown if any(digit in shown for digit in "123456789") else "0"
     return f"{shown} ± {factor * half:.{digits}f}{unit} {VERDICTS[estimate.decided]}"
 
 

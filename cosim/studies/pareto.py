@@ -66,14 +66,19 @@ def pareto(
     tell = say or (lambda _sentence: None)
     known: list[Mapping[str, float]] = [controller.start, {**controller.start, "a_min": 1.0, "b_max": 1.0}]
     known += [{**controller.start, **values_of(point)} for point in rule.stops]
-    found = _Explorer(judge, search, controller.setting, report, tell).found(_first(search, known))
+    explorer = _Explorer(judge, search, controller.setting, report, tell)
+    if reason := explorer.why_not(controller.start):
+        tell(f"the scenario as it stands is left out of the search: {reason}")
+    found = explorer.found(_first(search, known))
     retuned: list[_Found] = []
     if search.linear:
         linear = replace(search, tunables=tuple(controller.of_linear()))
         what = "the LC's own front, "
-        explorer = _Explorer(judge, linear, controller.linear_setting, report, tell, what)
-        retuned = explorer.found(_first(linear, [controller.start]))
-    return _judged(judge, rule, found, retuned, report)
+        own = _Explorer(judge, linear, controller.linear_setting, report, tell, what)
+        retuned = own.found(_first(linear, [controller.start]))
+    nearest = explorer.least[1]
+    why = explorer.why_not(nearest) if nearest and not explorer.feasible else ""
+    return replace(_judged(judge, rule, found, retuned, report), why_none=why)
 
 
 _Found = tuple[dict[str, float], Setting]
@@ -126,6 +131,16 @@ class _Explorer:
             descended(self._descent, start, search.population * search.generations, search.seed)
         points += [self._named(values) for values in self._preferred()]
         return [(v, self.setting(v)) for v in {tuple(v.values()): v for v in points}.values()]
+
+    def why_not(self, values: Mapping[str, float]) -> str:
+        """Return in words why a point is infeasible to the search; empty for one that is not."""
+        named = {t.name: values[t.name] for t in self.search.tunables}
+        try:
+            setting = self.setting(named)
+        except UserError as error:
+            return str(error)
+        (runs,) = self.judge.runs([setting.changes], self.judge.problem.numbers, lambda _done, _total: None)
+        return self.judge.why_not(runs, self.judge.linear)
 
     def _generation(self, generation: int, points: Array) -> tuple[Array, Array]:
         search = self.search
@@ -231,7 +246,7 @@ def _judged(judge: PointJudge, rule: Tuning, found: Sequence[_Found], retuned: S
     left = [
         replace(p, kind=DOMINATED) if p in beaten and p.kind == FRONT else p for p in points if not _dropped(p, beaten)
     ]
-    chosen, best = _chosen(left, search, FRONT), _chosen(left, search, RETUNED)
+    chosen, best = _chosen(left, search, FRONT), _chosen(left, search, RETUNED, LC) if search.linear else None
     over = None
     if chosen is not None and best is not None:
         pair = draws_of[id(chosen)], draws_of[id(best)]
@@ -250,8 +265,8 @@ def _better(a: ParetoPoint, b: ParetoPoint) -> bool:
     return all(x <= y for x, y in pairs) and any(x < y for x, y in pairs)
 
 
-def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoPoint | None:
-    """Return the point of a kind that keeps the limits in all draws and is best in the search's: nearest to the goals.
+def _chosen(points: Sequence[ParetoPoint], search: Search, *kinds: str) -> ParetoPoint | None:
+    """Return the point of these kinds that keeps the limits in all draws and is best in the search's: nearest to the goals.
 
     Without goals, the one with the least first objective. The held-out draws do not choose, so that what they say of the
     chosen point is not flattered.
@@ -261,7 +276,7 @@ def _chosen(points: Sequence[ParetoPoint], search: Search, kind: str) -> ParetoP
     able = [
         p
         for p in points
-        if p.kind == kind
+        if p.kind in kinds
         and all(p.searched[i] <= x * linear.searched[i] for i, x in limits.items())
         and all(p.held_out[i].value <= x * linear.held_out[i].value for i, x in limits.items())
     ]

@@ -63,7 +63,7 @@ ORDER = (LC, RULE, FRONT, RETUNED, DOMINATED, LOST)
 
 def _title(front: Front, problem: TuningProblem) -> str:
     drawn = f"means of {front.linear.draws} draws that the search did not see" if front.random else "one run each"
-    return f"{problem.scenario.name}: what can be had, {drawn}"
+    return f"{problem.scenario.name}: what can be had,{chr(10) if len(front.search.objectives) == 2 else ' '}{drawn}"
 
 
 def _picture(front: Front) -> Figure:
@@ -71,7 +71,10 @@ def _picture(front: Front) -> Figure:
     pairs = list(itertools.combinations(range(len(front.search.objectives)), 2))
     columns = min(3, len(pairs))
     rows = -(-len(pairs) // columns)
-    figure = Figure(figsize=(4.4 * columns + 0.6, 3.9 * rows + 0.6), layout="constrained")
+    few = columns == 1
+    figure = Figure(
+        figsize=(6.4 if few else 4.4 * columns + 0.6, 3.9 * rows + (1.2 if few else 0.6)), layout="constrained"
+    )
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for panel in panels[len(pairs) :]:
         panel.remove()
@@ -79,7 +82,7 @@ def _picture(front: Front) -> Figure:
         _panel(panel, front, i, j)
     shown = {text: handle for panel in panels for handle, text in zip(*panel.get_legend_handles_labels(), strict=True)}
     handles, labels = list(shown.values()), list(shown)
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
+    figure.legend(handles, labels, loc="outside lower center", ncols=4 if few else len(labels), frameon=False)
     return figure
 
 

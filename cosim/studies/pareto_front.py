@@ -19,6 +19,8 @@ from .estimates import MeanEstimate, change_text
 from .tunables import Setting, Tunable
 from .tuning import ROLES, Tuning
 
+LC_AT = (("a_min", 1.0), ("b_max", 1.0))
+"""Ends of ranges at which the IHC is the LC: nothing lies beyond them."""
 LC, RULE, FRONT, RETUNED = "LC", "rule", "front", "retuned LC"
 DOMINATED, LOST = "dominated", "infeasible"
 """What a point is: the LC, one that the paper's rule passed, one of the front, one of the front that the LC itself has with
@@ -169,7 +171,8 @@ class Front:
     """What a search came to: the points judged on held-out draws, the chosen one, the rule's tuning.
 
     `chosen` None: no point keeps the limits. `random`: something was left to chance. `retuned`: the point that the same
-    limits choose of the retuned LC's, and the changes of the chosen point over it.
+    limits choose of the retuned LC's, or of the LC as it is, and the changes of the chosen point over it. `why_none`: why
+    the nearest point to a feasible one is infeasible, where none was found.
     """
 
     search: Search
@@ -178,6 +181,7 @@ class Front:
     rule: Tuning
     random: bool
     retuned: tuple[ParetoPoint, tuple[MeanEstimate, ...]] | None = None
+    why_none: str = ""
 
     @property
     def linear(self) -> ParetoPoint:
@@ -220,7 +224,9 @@ class Front:
             )
             kept = f" keeps {within}" if within else ""
             return f"the LC does not gain: no point of the front{kept or ' is left'}" + (
-                f"; the least of each alone, over the LC: {least}" if least else "; all that was found loses the plant"
+                f"; the least of each alone, over the LC: {least}"
+                if least
+                else f"; of the nearest that was found: {self.why_none or 'it loses the plant in the draws held out'}"
             )
         changes = ", ".join(
             f"{q.symbol} {change_text(e)}" for q, e in zip(self.search.objectives, self.chosen.over_linear, strict=True)
@@ -265,7 +271,11 @@ class Front:
         if self.chosen is None:
             return []
         ends = [(t, t.share(self.chosen.values[t.name])) for t in self.search.tunables]
-        return [f"{t.name} at {self.chosen.values[t.name]:g}" for t, share in ends if share in (0.0, 1.0)]
+        return [
+            f"{t.name} at {t.at(share):g}"
+            for t, share in ends
+            if share in (0.0, 1.0) and (t.name, t.at(share)) not in LC_AT
+        ]
 
 
 def _symbol(front: Front, name: str) -> str:

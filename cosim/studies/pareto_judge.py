@@ -14,10 +14,12 @@ import numpy as np
 
 from fmu_export.errors import UserError
 
+from ..wiring import CONTROLLER
 from .cases import FIRST, Case, Runs, without_supervisor
 from .draw_means import change_over, kept, mean_over
 from .engine import Workers, run_numbers
 from .estimates import MeanEstimate
+from .experiments import LAW
 from .journal import Journal
 from .pareto_front import Search
 from .region_map import Judge
@@ -26,6 +28,7 @@ from .tuning import TuningProblem
 
 Array = np.ndarray
 
+MEASUREMENT = "plant.measurement"
 WORST = 2.0
 """Violation of a point that has no design: that of losing every draw."""
 LEAST = 1e-300
@@ -57,6 +60,12 @@ class PointJudge:
 
     def begin(self, progress: Callable[[int, int], None]) -> None:
         """Run the LC in the search's draws; raise UserError where it lacks an objective, or a case is not the plant's."""
+        for entry in self.search.reference:
+            if entry == LAW or not (entry.startswith(f"{CONTROLLER}.") or entry == MEASUREMENT):
+                raise UserError(
+                    "the LC of the comparison is the same law on the same plant: --reference changes the controller but "
+                    f"its law, and {MEASUREMENT}, found {entry}"
+                )
         decided = {*self.controller.setting(self.controller.start).changes, *self.linear_changes}
         for case in self.search.cases:
             for entry in case.changes:
@@ -115,6 +124,23 @@ class PointJudge:
         if any(lost):
             return 1.0 + float(np.mean(lost))
         return float(np.mean([math.isnan(estimate.value) for estimate in self.objectives(runs)]))
+
+    def why_not(self, runs: Runs, linear: Runs) -> str:
+        """Return in words why a point is infeasible to the search; empty for one that is not."""
+        for case in self.search.circumstances:
+            draws, lost = runs[case.name], round(self._lost(case, runs[case.name], linear) * len(runs[case.name]))
+            if lost and case.rest:
+                return f"it does not come to rest from {case.name} in {lost} of {len(draws)} draws"
+            if lost:
+                where = f"the case {case.name}" if case.name else "the scenario as it stands"
+                return f"it loses the plant in {where} in {lost} draws more than the LC, of {len(draws)}"
+        values = [estimate.value for estimate in self.objectives(runs)]
+        for q, value, most in zip(self.search.objectives, values, self.reach, strict=True):
+            if math.isnan(value):
+                return f"it has no {q.name} yet at the end of a run"
+            if value > most:
+                return f"its {q.symbol} is more than {REACH:g} times the LC's, or its limit, beyond which nothing is sought"
+        return ""
 
     def _lost(self, case: Case, draws: Sequence[Mapping[str, float]], linear: Runs) -> float:
         if case.rest:

@@ -22,6 +22,8 @@ Array = np.ndarray
 
 HELD = 0.1
 """Share of the run at its end over which |e| must be within its tolerance."""
+FEWEST = 3
+"""Points of the lattice along each axis of the certified ball, about, below which a region's share of it is not said."""
 CERTIFIED_LAWS = ("LC", "IHC")
 """The laws that a design's certificate is about."""
 
@@ -342,29 +344,38 @@ class Region:
             if section.reaches
             else "within it no command reaches its limit"
         )
-        said = [
+        return [
             f"certified ball: {extent} (the unit ball of the design's model, with the state known, in continuous time and "
-            f"without limits); {limits}"
+            f"without limits); {limits}",
+            *(self._share(law) for law in CERTIFIED_LAWS if law in self.laws),
         ]
-        for law in (law for law in CERTIFIED_LAWS if law in self.laws):
-            share = self.held(law)
-            if not math.isnan(share):
-                said.append(
-                    f"{law}: the region holds {'all' if share == 1.0 else f'{100.0 * share:.3g} %'} of the certified ball"
-                )
-        return said
+
+    def _share(self, law: str) -> str:
+        """Return in words how much of the certified ball a law's region holds."""
+        share, points = self.held(law), self._within(law).sum()
+        if math.isnan(share):
+            return (
+                f"{law}: only {points} points of the map lie in the certified ball, too few to say how much of it the "
+                "region holds; a finer --resolution or narrower ranges have more"
+            )
+        held = "all" if share == 1.0 else f"{100.0 * share:.3g} %"
+        return f"{law}: the region holds {held} of the certified ball, by {points} points in it"
 
     def held(self, law: str) -> float:
         """Return the share of the certified ball, within the range, that a law's region holds, by points of the lattice.
 
-        NaN without a ball, or where no point lies in it.
+        NaN without a ball, or where too few points lie in it.
         """
+        inside = self._within(law)
+        return float(np.mean(self.laws[law].cells.grid()[inside])) if inside.sum() >= FEWEST**inside.ndim else math.nan
+
+    def _within(self, law: str) -> Array:
+        """Return which points of the lattice lie in the certified ball."""
         section, cells = self.certified.section, self.laws[law].cells
         if section is None:
-            return math.nan
+            return np.zeros(cells.grid().shape, dtype=bool)
         values = [axis.range.low + np.arange(cells.finest + 1) / cells.finest * axis.range.width for axis in self.axes]
-        inside = section.has(np.stack(np.meshgrid(*values, indexing="ij"), axis=-1))
-        return float(np.mean(cells.grid()[inside])) if inside.any() else math.nan
+        return section.has(np.stack(np.meshgrid(*values, indexing="ij"), axis=-1))
 
 
 def _sized(axis: Axis, cells: int) -> str:

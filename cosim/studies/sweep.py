@@ -20,7 +20,7 @@ from ..metric_meanings import MetricMeaning
 from ..scenario import Scenario, load_located
 from .comparison import UNSTEADY
 from .engine import Workers, run_numbers
-from .estimates import MeanEstimate, Share, change, mean, rms_change, root_mean_square
+from .estimates import MeanEstimate, Share, change_of, mean, root_mean_square
 from .jobs import Job
 from .journal import Journal
 from .numbers import PURPOSE, Numbers
@@ -215,9 +215,7 @@ class Sweep:
         """Return by which part the metric's mean lies above that of the first law, over the draws that both count."""
         pairs = np.stack([self.counted(law, name), self.counted(self.plan.laws[0], name)])
         values, base = pairs[:, ~np.isnan(pairs).any(axis=0)]
-        if self.quantities[name].over_draws == "rms" and values.size and base.any():
-            return rms_change(values, base)
-        return change(values, base)
+        return change_of(values, base, self.quantities[name])
 
     def better(self, law: str, name: str) -> Share:
         """Return in how many draws the metric is smaller than with the first law; one that loses the plant is worse."""

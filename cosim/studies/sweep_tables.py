@@ -94,6 +94,8 @@ def _over_first(sweep: Sweep, law: str, name: str) -> str:
     both = f", equal in {100 * equal / share.draws:.3g} %" if equal else ""
     q, base = sweep.quantities[name], sweep.plan.laws[0]
     loose = q.of_window and not (sweep.steady(law) and sweep.steady(base))
+    if q.role == "rms" and all(sweep.value(one, name).value < q.zero for one in (law, base)):
+        return "–"
     return f"{'–' if loose else change_text(sweep.change(law, name))}; {often}{both}"
 
 

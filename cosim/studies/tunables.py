@@ -114,9 +114,8 @@ class TunedController:
         """Read the scenario's controller FMU; `design` is the controller's, None: there is none that is known."""
         path = files(scenario, fmus, folder).fmus[CONTROLLER]
         self.variables = {v.name: v for v in describe(path).modelVariables}
-        components = build_system(scenario, fmus, folder).components
         own = start_values_of(path)
-        self.own = own | dict(next(c.start for c in components if c.name == CONTROLLER))
+        self.own = _own_values(scenario, fmus, folder)
         self.pendulum = is_controller(own)
         changed = {*certified_names(own)} & scenario.controller.start.keys()
         self.design = None if changed else design
@@ -303,6 +302,34 @@ class TunedController:
     @staticmethod
     def _nominal(values: Mapping[str, StartValue]) -> dict[str, Value]:
         return {name: float(value) for name, value in values.items() if name.startswith("nominal_")}
+
+
+Place = tuple[Scenario, FilePath, FilePath | None]
+"""A scenario, the folder of its FMUs, and its own."""
+
+
+def controller_over(other: Place, base: Place) -> dict[str, Value | str]:
+    """Return the changes of `base` that give its controller the parameters that it has in `other`, all but its law.
+
+    Raises UserError where their controllers are not of one kind.
+    """
+    theirs, own = _own_values(*other), _own_values(*base)
+    if theirs.keys() != own.keys() or (not is_controller(own) and theirs["sample_time"] != own["sample_time"]):
+        raise UserError(
+            f"--reference takes ENTRY=VALUE, or a scenario with the same kind of controller, found {other[0].name}"
+        )
+    path = files(*base).fmus[CONTROLLER]
+    able = {v.name for v in describe(path).modelVariables if v.causality == "parameter"} - {"law", "sample_time"}
+    return {
+        f"{CONTROLLER}.start.{name}": value for name, value in theirs.items() if name in able and value != own[name]
+    }
+
+
+def _own_values(scenario: Scenario, fmus: FilePath, folder: FilePath | None) -> dict[str, StartValue]:
+    """Return the start values of a scenario's controller: its FMU's, and what the scenario and its design give."""
+    path = files(scenario, fmus, folder).fmus[CONTROLLER]
+    components = build_system(scenario, fmus, folder).components
+    return start_values_of(path) | dict(next(c.start for c in components if c.name == CONTROLLER))
 
 
 def around(value: float, factors: tuple[float, float]) -> Range:

@@ -104,6 +104,17 @@ def test_built_in_scenarios_load_and_run(fmus):
         assert result.metadata["scenario"]["name"] == name
 
 
+def test_a_gain_of_no_disturbance_is_refused_where_it_is_set():
+    """Else a study of disturbances would be told of a plant that nothing disturbs."""
+    with pytest.raises(
+        UserError, match=r"disturbance\.gain has no effect in a scenario whose disturbance has no sines"
+    ):
+        Scenario().changed({"disturbance.gain": 60.0})
+    sines = [{"amplitude": 0.02, "frequency": 10.0}]
+    assert Scenario().changed({"disturbance.gain": 60.0, "disturbance.sines": sines}).disturbance.gain == 60.0
+    assert Scenario().changed({"disturbance.gain": 0.0}).disturbance.gain == 0.0
+
+
 def test_every_entry_is_read_in_its_type(written, tmp_path):
     scenario, folder = load_scenario(written(FULL))
     assert folder == tmp_path

@@ -72,6 +72,8 @@ def noises_of(M: Array, A: Array, b: Array, h: float) -> KalmanOptions | None:
     """
     from scipy.optimize import least_squares  # noqa: PLC0415 - heavy
 
+    if not np.isfinite(M).all():
+        return None
     usual = KalmanOptions()
     names = ("voltage_noise", "disturbance_noise", "bias_noise")
     sizes = np.maximum(np.abs(M), np.abs(kalman_gain(A, b, h, usual))).max(axis=1, keepdims=True)

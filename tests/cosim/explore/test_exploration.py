@@ -81,6 +81,9 @@ def test_a_file_of_somebody_else_stays_and_nothing_is_written_beside_it(explored
     assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
     with pytest.raises(UserError, match="the name must be a plain one"):
         set_up.write("../mine", {}, tmp_path)
+    with pytest.raises(UserError, match="a_min must lie in"):
+        set_up.write("other", {"controller.start.a_min": -5.0}, tmp_path)
+    assert not (tmp_path / "other.toml").exists()
 
 
 def test_what_lies_beside_the_scenario_goes_along_but_not_over_another_file(elsewhere, tmp_path_factory):

@@ -429,7 +429,7 @@ CHANGES = {
     "plant.measurement": "ideal",
     "plant.start.delta_0": math.nextafter(0.1, 1.0),
     "controller.start.a_min": 0.7,
-    "disturbance.gain": 2.0,
+    "disturbance.input": "plant.disturbance_voltage",
     "disturbance.start": 0.1,
     "disturbance.sines": [{"amplitude": 1.0, "frequency": 2.0}],
     "record.every": 2,

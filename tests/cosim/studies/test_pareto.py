@@ -253,7 +253,8 @@ def test_the_verdict_says_what_is_gained_or_that_nothing_is():
     none = front(point(FRONT, (0.5, 1.5, 0.95)), point(FRONT, (1.5, 1.2, 0.9))).verdict()
     assert none.startswith("the LC does not gain: no point of the front keeps ∫V² dt at most 1 times")
     assert "settling -50.0 ± 1.0 % better, ∫V² dt +20.0 ± 1.0 % worse" in none
-    assert "all that was found loses the plant" in front(point(LOST, (0.5, 0.5, 0.5))).verdict()
+    lost = dataclasses.replace(front(point(LOST, (0.5, 0.5, 0.5))), why_none="it does not come to rest").verdict()
+    assert lost.endswith("; of the nearest that was found: it does not come to rest")
 
 
 GOALS = {"settling_time": 0.5, "voltage_variation": 0.8}
@@ -282,7 +283,10 @@ def test_with_goals_the_nearest_point_is_chosen_and_each_goal_is_said_to_be_met_
         "the LC does not gain: no point of the front keeps ∫V² dt at most 2 times the LC's; the least of "
     )
     lost = front(point(LOST, (0.5, 0.5, 0.5)), goals=GOALS).verdict()
-    assert lost == "the LC does not gain: no point of the front is left; all that was found loses the plant"
+    assert lost == (
+        "the LC does not gain: no point of the front is left; of the nearest that was found: it loses the plant in the "
+        "draws held out"
+    )
 
 
 def test_where_the_chosen_point_is_at_the_end_of_a_range_it_is_said():
@@ -499,6 +503,36 @@ def test_a_point_must_come_to_rest_from_where_it_is_held_whatever_the_linear_con
         runs = {"": [fine, fine], "pushed": [fine, fine], held.name: draws}
         assert judge.violation(runs, judge.linear) == pytest.approx(violation)
         assert judge.violation(runs, judge.linear, found=False) == 0.0
+
+
+def test_why_a_point_is_infeasible_is_said(tilt, goals, design, tmp_path):
+    with Journal(tmp_path / "runs", PURPOSE) as journal:
+        judge = PointJudge(tilt, goals, tuned(tilt, design), journal, 1)
+    fine = {"kept": 1.0, "steady": 1.0, "duration": 1.0, "integral_q2": 1.0, "energy": 1.0, "capture_time": 0.002}
+    fine |= {"settling_time": 0.2}
+    good = {"": [fine, fine], "pushed": [fine, fine], "plant.start.delta_0=0.12": [fine, fine]}
+    judge.reach, judge.linear = [4.0] * 3, good
+    for changes, said in (
+        ({}, ""),
+        (
+            {"plant.start.delta_0=0.12": [fine, {}]},
+            "it does not come to rest from plant.start.delta_0=0.12 in 1 of 2 draws",
+        ),
+        ({"pushed": [{}, {}]}, "it loses the plant in the case pushed in 2 draws more than the LC, of 2"),
+        ({"": [{**fine, "energy": 9.0}] * 2}, "its ∫V² dt is more than 4 times the LC's"),
+    ):
+        why = judge.why_not({**good, **changes}, judge.linear)
+        assert why.startswith(said)
+        assert bool(why) == bool(said)
+
+
+@pytest.mark.parametrize("entry", ["controller.start.law", "plant.start.delta_0", "disturbance.gain"])
+def test_the_linear_controller_of_the_comparison_is_one_on_the_same_plant(tilt, goals, design, tmp_path, entry):
+    asked = dataclasses.replace(goals, reference={entry: 1})
+    with Journal(tmp_path / "runs", PURPOSE) as journal:
+        judge = PointJudge(tilt, asked, tuned(tilt, design), journal, 1)
+        with pytest.raises(UserError, match=f"the same law on the same plant.*found {entry}"):
+            judge.begin(lambda _done, _total: None)
 
 
 def test_a_case_of_what_the_tuning_decides_is_refused(tilt, goals, design, tmp_path):

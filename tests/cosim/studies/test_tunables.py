@@ -1,5 +1,7 @@
 """What of a controller is tuned freely: ranges and their shares, and what a choice of values changes."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from cosim.errors import UserError
 from cosim.scenario import load_scenario
 from cosim.scenario_system import build_system, controller_design
 from cosim.studies.ranges import Range
-from cosim.studies.tunables import COUNT_WEIGHT, NOISES, Tunable, TunedController, ranges_over
+from cosim.studies.tunables import COUNT_WEIGHT, NOISES, Tunable, TunedController, controller_over, ranges_over
 from cosim.system_export import export_system
 from ihc_fmu import System, inverse_design
 from ihc_fmu.design import Design
@@ -120,6 +122,22 @@ def test_the_noises_of_a_filter_are_read_from_its_gain(tuned):
     assert [t.name for t in own.tunables({})] == ["a_min", "b_max", "u_max", "mu", COUNT_WEIGHT]
     with pytest.raises(UserError, match=r"controller\.bias_noise cannot be tuned"):
         own.tunables({"bias_noise": Range(1e-9, 1e-8)})
+
+
+def test_a_gain_that_is_none_belongs_to_no_noises(tuned):
+    assert tuned("tilt_kalman", {"controller.start.kalman_M_11": math.inf}).noises is None
+
+
+def test_the_controller_of_another_scenario_is_told_in_changes(fmus, cart_system):
+    (tilt, folder), (sharp, beside) = load_scenario("tilt_kalman"), load_scenario("tilt_sharp")
+    changes = controller_over((tilt, fmus, folder), (sharp, fmus, beside))
+    assert (changes["controller.start.k_lin_1"], changes["controller.start.a_min"]) == (2.0, 0.5)
+    assert (
+        not {"controller.start.law", "controller.start.sample_time", "controller.start.kalman_angle"} & changes.keys()
+    )
+    assert controller_over((tilt, fmus, folder), (sharp.changed(changes), fmus, beside)) == {}
+    with pytest.raises(UserError, match="a scenario with the same kind of controller, found tilt_kalman"):
+        controller_over((tilt, fmus, folder), cart_system[:3])
 
 
 @pytest.mark.parametrize(
