@@ -19,13 +19,15 @@ from .estimates import MeanEstimate, change_text
 from .tunables import Setting, Tunable
 from .tuning import ROLES, Tuning
 
-LC_AT = (("a_min", 1.0), ("b_max", 1.0))
-"""Ends of ranges at which the IHC is the LC: nothing lies beyond them."""
 LC, RULE, FRONT, RETUNED = "LC", "rule", "front", "retuned LC"
 DOMINATED, LOST = "dominated", "infeasible"
 """What a point is: the LC, one that the paper's rule passed, one of the front, one of the front that the LC itself has with
 its K and filter tuned as freely; and of those that the searches found, in the draws that they did not see: one that another
 is better than in every objective, or one that is infeasible."""
+LC_AT = (("a_min", 1.0), ("b_max", 1.0))
+"""Ends of ranges at which the IHC is the LC: nothing lies beyond them."""
+NAMED = 3
+"""Entries of the LC of the comparison that a sentence names."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +243,10 @@ class Front:
     @property
     def _drawn(self) -> str:
         count = self.linear.draws
-        return f"in {count} draws that the search did not see" if self.random else "in the one run that there is"
+        drawn = f"in {count} draws that the search did not see" if self.random else "in the one run that there is"
+        named = [f"{entry} = {value}" for entry, value in self.search.reference.items()]
+        more = f" and {len(named) - NAMED} others" if len(named) > NAMED else ""
+        return drawn + (f" (the LC with {', '.join(named[:NAMED])}{more})" if named else "")
 
     def _attained(self, chosen: ParetoPoint) -> str:
         """Return in a sentence whether the goals are met, each value over the LC's with its goal or limit."""

@@ -109,9 +109,12 @@ class RegionProblem:
 
     @cached_property
     def opened_scenario(self) -> Scenario:
-        """The scenario with the pendulum's supervisor open, unless it stays, and every row recorded."""
+        """The scenario with the pendulum's supervisor open, unless it stays, and every row recorded.
+
+        Whether the controller is one for the plant is asked of the scenario as it stands, not where an axis changes it.
+        """
         free = {} if self.supervisor else without_supervisor(self.scenario, self.fmus, self.folder)
-        return self.scenario.changed({"record.every": 1, **free})
+        return self.scenario.changed({"record.every": 1, "controller.other_model": True, **free})
 
     @cached_property
     def from_first(self) -> bool:

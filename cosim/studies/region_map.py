@@ -10,6 +10,8 @@ from typing import Literal
 
 import numpy as np
 
+from fmu_export.errors import counted
+
 from ..metric_meanings import MetricMeaning, squared
 from ..scenario import Scenario
 from ..unit_definitions import shown_unit, with_unit
@@ -355,8 +357,8 @@ class Region:
         share, points = self.held(law), self._within(law).sum()
         if math.isnan(share):
             return (
-                f"{law}: only {points} points of the map lie in the certified ball, too few to say how much of it the "
-                "region holds; a finer --resolution or narrower ranges have more"
+                f"{law}: only {counted(int(points), 'point')} of the map in the certified ball, too few to say how much of "
+                "it the region holds; a finer --resolution or narrower ranges have more"
             )
         held = "all" if share == 1.0 else f"{100.0 * share:.3g} %"
         return f"{law}: the region holds {held} of the certified ball, by {points} points in it"
