@@ -145,9 +145,8 @@ def _maps(region: Region) -> Figure:
     panels[0].set_ylabel(literal(region.axes[1].label))
     if mesh is not None and times.size:
         figure.colorbar(mesh, ax=list(panels), label="settled from then on [s]", aspect=30, pad=0.02)
-    figure.legend(
-        handles=_handles(region, colour), loc="outside lower center", ncols=len(region.laws) + 2, frameon=False
-    )
+    if handles := _handles(region, colour):
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
     return figure
 
 
@@ -157,9 +156,14 @@ def _heading(region: Region, law: str) -> str:
 
 
 def _boundary(panel: Any, x: np.ndarray, y: np.ndarray, found: LawRegion, colour: str, *, own: bool) -> None:
-    grid = found.cells.grid()
-    if grid.any() and not grid.all():
+    if _has_boundary(found):
+        grid = found.cells.grid()
         panel.contour(x, y, grid.T.astype(float), levels=[0.5], colors=[colour], linewidths=1.6 if own else 0.8)
+
+
+def _has_boundary(found: LawRegion) -> bool:
+    grid = found.cells.grid()
+    return bool(grid.any() and not grid.all())
 
 
 def _shares(found: LawRegion, inside: np.ndarray) -> np.ndarray:
@@ -169,7 +173,11 @@ def _shares(found: LawRegion, inside: np.ndarray) -> np.ndarray:
 
 
 def _handles(region: Region, colour: dict[str, str]) -> list[Any]:
-    lines = [Line2D([], [], color=colour[law], lw=1.8, label=f"boundary, {law}") for law in region.laws]
+    lines = [
+        Line2D([], [], color=colour[law], lw=1.8, label=f"boundary, {law}")
+        for law, found in region.laws.items()
+        if _has_boundary(found)
+    ]
     section = region.certified.section
     certified = section is not None and any(law in CERTIFIED_LAWS for law in region.laws)
     lines += [Line2D([], [], ls="--", color="black", lw=1.2, label=CERTIFIED)] if certified else []

@@ -167,8 +167,8 @@ static int kalman_step(const regulator_params *p, regulator_state *s, const doub
     }
     for (int i = 0; i < outputs; i++) {
         found[n + m + i] = p->bias_decay * s->b[i];
-        innovation[i] = weighed(y[i] - (dot(&p->C[i * n], found, n) + found[n + m + i]), p->count[i],
-                                p->kalman_count_weight);
+        innovation[i] =
+            weighed(y[i] - (dot(&p->C[i * n], found, n) + found[n + m + i]), p->count[i], p->kalman_count_weight);
     }
     for (int i = 0; i < all; i++) {
         corrected[i] = flushed(found[i] + dot(&p->M[i * outputs], innovation, outputs), LEAST_ESTIMATE);
