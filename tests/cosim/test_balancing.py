@@ -50,7 +50,7 @@ def test_best_homogeneous_controller_beats_the_linear_one_on_the_same_filter(ste
 
 @pytest.mark.parametrize(
     ("name", "settling", "error", "pushed", "energy"),
-    [("tilt_sharp", 5.7, 5.3, 32.5, 1.11), ("tilt_sparing", 6.4, 4.8, 13.6, 0.64)],
+    [("tilt_sharp", 10.3, 5.9, 39.7, 1.0), ("tilt_sparing", 4.9, 4.7, 14.1, 0.615)],
 )
 def test_tuned_scenarios_gain_over_the_manufacturers_controller_what_is_published(
     fmus, name, settling, error, pushed, energy

@@ -115,7 +115,7 @@ def test_the_noises_of_a_filter_are_read_from_its_gain(tuned):
     """So that a search, and a page, go on from a scenario that a search has written."""
     found = tuned("tilt_sparing").start  # its file says the noises that its gain was made for
     values = [found[name] for name in NOISES]
-    np.testing.assert_allclose(values, [3.293e-6, 0.0878, 2.29e-9], rtol=1e-6)
+    np.testing.assert_allclose(values, [1.117e-6, 0.09442, 3.84e-9], rtol=1e-6)
     own = tuned("tilt_kalman", {"controller.start.kalman_M_31": 9.0})
     assert own.filtered
     assert own.noises is None
