@@ -25,8 +25,6 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ihc_fmu.design import Design
-
     from ..scenario import Scenario
     from ..studies.engine import Workers
     from ..studies.journal import Journal
@@ -185,15 +183,15 @@ def tune(
     )
     problem.check_tunable()
     target = _target(output, scenario, loaded_scenario.name)
+    controller = TunedController(loaded_scenario, fmus, folder, known)
     search = None
     if pareto is not None:
         place = loaded_scenario, fmus, folder
         cases = cases_of(_entries("--case", case, *place), _entries("--hold", hold, *place))
         found = objectives_of(pareto.split(","), problem.quantities, cases)
-        numbers = _varied(TunedController(loaded_scenario, fmus, folder, known), over, gain)
         factors = factors_of("--limit", limit or [], found), factors_of("--goal", goal or [], found)
         other = _reference(reference or [], *place)
-        search = Search(found, tuple(numbers), *factors, cases, other, linear=linear, **sizes)
+        search = Search(found, tuple(_varied(controller, over, gain)), *factors, cases, other, linear=linear, **sizes)
         problem = replace(problem, measure=search.objectives[0].quantity.name)
     check_replaceable(*(target / name for name in _files(search)))
     say_notes(remarks_before(system, loaded_scenario))
@@ -206,7 +204,7 @@ def tune(
         if search is None:
             _follow_the_rule(problem, grid, target, journal, where)
         else:
-            _look_for_the_front(problem, search, known, grid, target, journal, where)
+            _look_for_the_front(problem, search, controller, grid, target, journal, where)
 
 
 def _varied(controller: TunedController, over: list[str] | None, gain: bool) -> list[Tunable]:
@@ -246,7 +244,7 @@ def _follow_the_rule(problem: TuningProblem, grid: Grid, target: Path, journal: 
 def _look_for_the_front(
     problem: TuningProblem,
     search: Search,
-    design: Design | None,
+    controller: TunedController,
     grid: Grid,
     target: Path,
     journal: Journal,
@@ -254,9 +252,7 @@ def _look_for_the_front(
 ) -> None:
     from ..studies.pareto import pareto
     from ..studies.pareto_files import WRITTEN_FILES, save
-    from ..studies.tunables import TunedController
 
-    controller = TunedController(problem.scenario, problem.fmus, problem.folder, design)
     with staged_progress() as report:
         front = pareto(problem, search, controller, grid, journal, workers, report, console.print)
     paths = save(front, problem, target)

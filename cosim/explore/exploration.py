@@ -19,7 +19,7 @@ from fmu_export.errors import UserError
 
 from ..fmu import FmuError
 from ..judged_signals import evaluation_in, kept_upright, overflow
-from ..metric_meanings import QUANTITIES, MetricMeaning, is_pendulum, quantities_of
+from ..metric_meanings import QUANTITIES, MetricMeaning, kept_words, quantities_of
 from ..metrics import Metrics, evaluate, evaluate_alike, unsteady
 from ..names import is_plain
 from ..prepared import Prepared
@@ -199,7 +199,7 @@ class Exploration:
             changes["controller.design"] = None
         asked = self.base.changed(changes)
         remarks_before(build_system(asked, self.fmus, self.folder), asked)  # raises UserError as a run would
-        moved, beside = portable(self.base.changed(changes), self.fmus, self.folder)
+        moved, beside = portable(asked, self.fmus, self.folder)
         with staging(folder) as place:
             for file, path in beside.items():
                 _copy(path, folder / file, place / file)
@@ -244,7 +244,7 @@ def _seen(results: Mapping[str, Result], seconds: float, slow: bool) -> Outcome:
         [*row, *(_change(metrics[law], metrics[base], q) for law in others)] for q, row in table if q.role not in UNTOLD
     ]
     kept = ("yes" if kept_upright(result) else "no" for result in results.values())
-    rows.append(["kept upright" if is_pendulum(quantities) else "acting to the end", *kept, *("" for _ in others)])
+    rows.append([kept_words(quantities), *kept, *("" for _ in others)])
     notes = [f"{law}: {text}" for law, result in results.items() for text in overflow(result)]
     notes += [f"* {law}: {why}" for law, m in metrics.items() if (why := unsteady(m))]
     if slow:

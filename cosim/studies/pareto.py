@@ -67,9 +67,9 @@ def pareto(
     known: list[Mapping[str, float]] = [controller.start, {**controller.start, "a_min": 1.0, "b_max": 1.0}]
     known += [{**controller.start, **values_of(point)} for point in rule.stops]
     explorer = _Explorer(judge, search, controller.setting, report, tell)
-    if reason := explorer.why_not(controller.start):
-        tell(f"the scenario as it stands is left out of the search: {reason}")
     found = explorer.found(_first(search, known))
+    if reason := explorer.why_not(controller.start):
+        tell(f"the scenario as it stands was left out of the search: {reason}")
     retuned: list[_Found] = []
     if search.linear:
         linear = replace(search, tunables=tuple(controller.of_linear()))
@@ -134,7 +134,7 @@ class _Explorer:
 
     def why_not(self, values: Mapping[str, float]) -> str:
         """Return in words why a point is infeasible to the search; empty for one that is not."""
-        named = {t.name: values[t.name] for t in self.search.tunables}
+        named = self._values([t.share(values[t.name]) for t in self.search.tunables])  # as they are searched
         try:
             setting = self.setting(named)
         except UserError as error:

@@ -114,10 +114,9 @@ class TunedController:
         """Read the scenario's controller FMU; `design` is the controller's, None: there is none that is known."""
         path = files(scenario, fmus, folder).fmus[CONTROLLER]
         self.variables = {v.name: v for v in describe(path).modelVariables}
-        own = start_values_of(path)
         self.own = _own_values(scenario, fmus, folder)
-        self.pendulum = is_controller(own)
-        changed = {*certified_names(own)} & scenario.controller.start.keys()
+        self.pendulum = is_controller(self.own)
+        changed = {*certified_names(self.own)} & scenario.controller.start.keys()
         self.design = None if changed else design
         self.redesigned = design is not None and not (changed or design.integral or design.psi or design.d_max)
 

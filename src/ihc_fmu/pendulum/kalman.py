@@ -74,9 +74,11 @@ def noises_of(M: Array, A: Array, b: Array, h: float) -> KalmanOptions | None:
 
     if not np.isfinite(M).all():
         return None
-    usual = KalmanOptions()
-    names = ("voltage_noise", "disturbance_noise", "bias_noise")
-    sizes = np.maximum(np.abs(M), np.abs(kalman_gain(A, b, h, usual))).max(axis=1, keepdims=True)
+    usual, names = KalmanOptions(), ("voltage_noise", "disturbance_noise", "bias_noise")
+    first = kalman_gain(A, b, h, usual)
+    sizes = np.maximum(np.abs(M), np.abs(first)).max(axis=1, keepdims=True)
+    if (np.abs(first - M) <= SAME * sizes).all():
+        return usual
 
     def noises(logs: Array) -> KalmanOptions:
         return replace(usual, **{n: getattr(usual, n) * float(np.exp(x)) for n, x in zip(names, logs, strict=True)})
@@ -84,8 +86,6 @@ def noises_of(M: Array, A: Array, b: Array, h: float) -> KalmanOptions | None:
     def difference(logs: Array) -> Array:
         return ((kalman_gain(A, b, h, noises(logs)) - M) / sizes).ravel()
 
-    if np.abs(difference(np.zeros(len(names)))).max() <= SAME:
-        return usual
     found = least_squares(
         difference, np.zeros(len(names)), bounds=(-FARTHEST, FARTHEST), ftol=1e-15, xtol=1e-12, gtol=1e-15
     )
